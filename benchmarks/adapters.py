@@ -1,4 +1,4 @@
-"""Measure the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
+"""Measure the control rates that each class of CAN adapter permits. The hand and the time are simulated.
 
 Each run of the benchmark is `handctl demo`: commission the hand, grasp an object, hold the object
 and release it. A control rate is possible if the run ends without a fault. The possible control

@@ -1,19 +1,22 @@
-"""Measure the time that handctl and its alternatives need to exchange the frames of one tick.
+"""Measure the time that handctl and other CAN clients need to exchange the frames of one tick.
 
-The benchmark measures the CPU time and the wall time of the exchange.
+The benchmark measures the CPU time and the wall time of the exchange. handctl, each other client
+and each C program is one alternative of the comparison.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark runs with four and with eleven motors
 in MIT mode, on handctl's local bus (a Unix socket) and on vcan. If the kernel of the machine does
 not support vcan, the benchmark uses vcan in user-mode Linux. The simulated motors run in the
 process of the benchmark. The reported times do not include the time of the simulated motors. An
 exchange converts torques to payloads, sends the frames, receives the reply frames of the motors,
-and converts their payloads to values. As in a tick of the controller, handctl also updates the
-state of each drive. Only ratios between results of the same run are comparable.
+and converts their payloads to values. handctl also updates the state of each drive, because the
+controller does so in every tick. Absolute times of different runs are not comparable. Compare only
+ratios of times from the same run.
 
 A C program makes the same system calls as handctl and encodes the same frames. The time of the C
-program is the lower bound for all alternatives. On the local bus, handctl sends all frames of a
-tick in one packet, so that the lower bound hardly grows with the number of motors. For comparison,
-another C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
+program is the lower bound for all alternatives. On the local bus, handctl and the C program send
+all frames of a tick in one packet. Therefore, the lower bound on the local bus hardly grows with
+the number of motors. For comparison, another C program sends one packet per frame (sendmmsg,
+recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -38,7 +41,7 @@ REFERENCE_LABEL = "python-can, scalar codec"
 
 
 def main() -> None:
-    """Measure handctl and all alternatives on both buses, and print the results."""
+    """Measure the exchange times of all alternatives on both buses, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -239,10 +242,11 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 
 
 def add_ratios(row_by_name: dict) -> dict:
-    """Add ratios to each row.
+    """Add three ratios to each row.
 
-    Two ratios are the wall time of the alternative divided by the wall times of the two C programs.
-    The third ratio is the wall time of python-can divided by the wall time of the alternative.
+    For the first two ratios, the wall time of the alternative is divided by the wall time of each
+    of the two C programs. For the third ratio, the wall time of python-can is divided by the wall
+    time of the alternative.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():

@@ -60,10 +60,11 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield the parts of the program that share the time of a function, and the fraction for each part.
+    """Yield each part of the program to which time of a function is assigned, and the fraction of the time.
 
     If no part contains the function, the time of the function is divided among the parts that
-    contain the callers. Each caller counts in proportion to the time of the caller.
+    contain the callers. The weight of a caller is the time that the function takes in all calls
+    from this caller.
     """
     name = f"{function[0]}/{function[2]}"
     code_part = next(

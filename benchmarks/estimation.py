@@ -88,7 +88,7 @@ RATIO_COLUMNS = (
 
 
 def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepTrial]:
-    """Return the trials of one hand with one seed and with one set of simulated parameters."""
+    """Return the trials of one hand for one seed and one set of simulated parameters."""
     if hand_name == "jamia_bench":
         return [
             LockstepTrial(
@@ -197,10 +197,10 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 
 @cache
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
-    """Return two standard deviations of the reference filter for each tendon, as an array (tendons, 2) [N].
+    """Return the standard deviation of the reference filter for each tendon, at two times (tendons, 2) [N].
 
-    The first standard deviation belongs to the tension at the time of the last load-cell reading.
-    The second standard deviation belongs to the present tension.
+    The first column belongs to the tension at the time of the last load-cell reading. The second
+    column belongs to the present tension.
     """
     name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
@@ -211,8 +211,8 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
     """Make a table of the results for each tendon regime.
 
     The columns are the RMSE of each estimator [N], ratios of RMSEs, the NIS, and the whiteness of
-    the innovations. One column is the standard deviation of the tension estimate's RMSE over the
-    seeds [N].
+    the innovations. Another column shows how much the RMSE of the tension estimate varies from seed
+    to seed (standard deviation [N]).
     """
     table = {}
     for regime in REGIME_NAMES:
@@ -252,8 +252,8 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
 def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
     """Return the mean of each quantity.
 
-    Each list in ``sums`` has the form [sum of values, number of values, sum of values, number of
-    values, ..].
+    Each list in ``sums`` contains pairs of numbers: a sum of values, and the number of these
+    values.
     """
     return {
         name: sum(sums_and_counts[::2]) / max(sum(sums_and_counts[1::2]), 1.0)
@@ -266,8 +266,8 @@ def measure_estimators(
 ) -> dict:
     """Measure the errors of the tension estimators, and return the tables of all hands and simulated plants.
 
-    The entry ``seeds`` of the result contains, for each case, the number of seeds that were
-    computed before the time limit of ``plan``.
+    The entry ``seeds`` of the result states how many seeds of each case were computed before the
+    time limit of ``plan``.
     """
     cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
@@ -322,7 +322,7 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure the tension estimators in all cases, and print the results."""
+    """Measure the errors of the tension estimators in all cases, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)"

@@ -31,7 +31,7 @@ FREE_MOTION_DURATION_S = 30.0
 
 
 def main() -> None:
-    """Measure the selected parts of the benchmark and print the results."""
+    """Run the selected parts of the benchmark and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick",
@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
-    """Measure the parts of the benchmark that the options select."""
+    """Run the parts of the benchmark that the options select, and return the results."""
     part_names = args.parts.split(",")
     seeds = range(args.seeds)
     hands = MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
@@ -129,8 +129,8 @@ def _measure_contact_detection(
     """Measure contact detection for each hand.
 
     The results are the delays of contact events at walls, and the numbers of false contact events
-    in free motion. In a run of free motion, the digits also rest between motions. The reported time
-    of free motion includes only the time in which the digits move.
+    in free motion. In a run of free motion, the digits pause between their motions. The reported
+    time of free motion does not include the pauses.
     """
     results = collect_results(
         contact_detection.find_contacts,

@@ -4,10 +4,10 @@ Gravity causes joint torques only in a hand that lies on its side.
 
 ``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright, so
 gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
-on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark
-compares two pairs of control laws. The two control laws of a pair differ only in gravity
-compensation. Both control laws of a pair move every digit as in the tracking benchmark, and both
-have the same LQR weights.
+on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark uses
+two pairs of control laws, and compares the two control laws of each pair. The two control laws of a
+pair differ only in gravity compensation. Both control laws of a pair move every digit as in the
+tracking benchmark, and both have the same LQR weights.
 """
 
 import argparse
@@ -148,7 +148,7 @@ error is the difference of the mean joint angle of a digit from its setpoint, me
 
 
 def _compensation_benefit_text(result: dict) -> str:
-    """Return a text on the benefit of gravity compensation for each hand, pair of control laws and speed."""
+    """Return a text that states how much gravity compensation reduces the RMSE for each hand, control law and speed."""
     hand_texts = []
     for hand, laws in result.items():
         names = list(laws)

@@ -68,7 +68,7 @@ class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def main() -> None:
-    """Measure all environments and print the results."""
+    """Measure the step time and the reset time of all environments, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def measure_environment(hand_name: str, environment_name: str, step_count: int) -> dict[str, Any]:
-    """Measure the environments of handctl and of MuJoCo for one hand."""
+    """Measure the step time and the reset time for one hand, with handctl and with MuJoCo alone."""
     options = {
         "hand": hand_name,
         **({"diameter_mm": (33.0, 33.0)} if environment_name == "Grasp" else {"span": (0.0, 0.05)}),

@@ -3,9 +3,10 @@
 For each fault, the benchmark records whether the controller reports the fault, the delay of the
 reaction, and the largest true tension.
 
-Each fault is injected into the first finger of a hand in lockstep. When the fault begins, the hand
-moves freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the
-controller does not react within 2 s, the benchmark requests a stop, as an operator would.
+Each fault is injected into the first finger of a simulated hand, which runs in lockstep with its
+controller. When the fault begins, the hand moves freely, holds an object, or raises the tendon
+tensions on the object. The hand holds the object with tendon tensions of either 24 N or 90 N. If
+the controller does not react within 2 s, the benchmark requests a stop, as an operator would.
 
     python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
 """
@@ -218,7 +219,7 @@ def results_table(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure all faults and print the table."""
+    """Measure the reactions to all faults, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument(

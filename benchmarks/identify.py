@@ -4,8 +4,9 @@ Each seed gives a random hand, whose parameters differ from the hand file by up 
 of the controller differ from the packaged gains by up to a factor of 3. A digit without springs is
 moved with the packaged gains. The moment arms of a digit without springs differ from the hand file
 by up to 10 %. One digit of the hand is moved in lockstep, and the parameters of this digit are
-fitted to the log. The true parameters are used only to evaluate the fit. The true parameters give
-the errors of the fit, and show whether each confidence interval contains the true value.
+fitted to the log. The true parameters are used only to evaluate the fit. From the true parameters,
+the benchmark computes the errors of the fit, and whether each confidence interval contains the true
+value.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run

@@ -3,11 +3,11 @@
 For comparison, the benchmark runs MuJoCo's ``mj_step`` alone with the same motion.
 
 ``python benchmarks/lockstep.py [--quick] [--json]``. A first run of controller and simulator
-records the torques that the tendons apply to the joints in each simulation step. ``mj_step`` alone
-is then called with the recorded torques, and must end at bit-identical positions. Several further
-runs are timed, and one further run is profiled. All runs are bit-identical. For each tick and each
-simulation step, the benchmark uses the shortest time over all runs. Other load on the processor
-core affects the shortest time least.
+records the torques that the tendons apply to the joints in each simulation step. Then the benchmark
+repeats the motion with ``mj_step`` alone and the recorded torques. The final positions of both runs
+must be bit-identical. Several further runs are timed, and one further run is profiled. All runs are
+bit-identical. For each tick and each simulation step, the benchmark uses the shortest time over all
+runs. Other load on the processor core affects the shortest time least.
 """
 
 import argparse
@@ -44,7 +44,7 @@ class BodyRollout(NamedTuple):
 
 
 def main() -> None:
-    """Measure the speed of lockstep for all hands and scenes, and print the results."""
+    """Measure the speed of controller and simulator for all hands and scenes, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"

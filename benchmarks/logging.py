@@ -1,9 +1,10 @@
 """Compare the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
 
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
-of the hand jamia11 at 1 kHz. The messages include the raw frames. Only ratios between results of
-the same run are comparable. The control loop of handctl passes each record to another process,
-which writes the log. The other log libraries write within the control loop.
+of the hand jamia11 at 1 kHz. The messages include the raw frames. Absolute times of different runs
+are not comparable. Compare only ratios of times from the same run. The control loop of handctl
+passes each record to another process, which writes the log. The other log libraries write within
+the control loop.
 """
 
 import sys

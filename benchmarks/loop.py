@@ -1,8 +1,9 @@
-"""Compare the control loop with a hand-written loop by the lateness of ticks and the highest rate.
+"""Compare the control loop of handctl with a hand-written loop: lateness of ticks, and highest control rate.
 
 ``python benchmarks/loop.py [--quick] [--json]``. Both control loops run with 4 and with 11 motors
-on the same bus. A separate process simulates the drives for both control loops, but no tendons and
-no digits. Only ratios between results of the same run are comparable.
+on the same bus. For both control loops, a separate process simulates the drives. The process
+simulates neither tendons nor digits. Absolute results of different runs are not comparable. Compare
+only ratios of results from the same run.
 """
 
 import argparse
@@ -26,7 +27,7 @@ LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
 
 
 def main() -> None:
-    """Measure both control loops in all cases, and print the results."""
+    """Measure the lateness and the highest rate of both control loops, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -49,10 +50,9 @@ def main() -> None:
 
 
 def measure_loops(duration_s: float, quick: bool) -> dict:
-    """Measure both loops with 4 and with 11 motors.
+    """Measure the lateness and the highest rate of both control loops, with 4 and with 11 motors.
 
-    The results are the lateness of ticks, the behaviour at fixed control rates, and the highest
-    control rate.
+    The results also include the behaviour at fixed control rates.
     """
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
@@ -125,7 +125,7 @@ def rate_ratio(rates: dict, rate_name: str) -> float | None:
 def measure_in_child_process(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, rate_hz: float
 ) -> dict:
-    """Measure a control loop once in a separate process, and return the result."""
+    """Run one measurement of a control loop in a separate process, and return the result."""
     words = ["--one", loop_name, hand_name, bus_name, str(duration_s), str(rate_hz)]
     output_text = subprocess.run(
         [sys.executable, __file__, *words], capture_output=True, text=True, timeout=120
@@ -138,7 +138,7 @@ def measure_in_child_process(
 def measure_in_this_process(
     loop_name: str, hand_name: str, bus_name: str, duration_text: str, rate_text: str
 ) -> dict:
-    """Measure a control loop once in this process, which ``measure_in_child_process`` has started."""
+    """Run one measurement of a control loop in this process, which ``measure_in_child_process`` has started."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if loop_name == "bare":

@@ -69,9 +69,9 @@ def enabled_controller(motor_count):
 
 
 class HandctlExchange:
-    """Bus and compiled codec of handctl.
+    """Exchange over handctl's bus with handctl's compiled codec.
 
-    As in a tick of the controller, the codec updates the state of each drive.
+    The codec also updates the state of each drive, because the controller does so in every tick.
     """
 
     reply_of = staticmethod(feedback_frame)
@@ -115,7 +115,7 @@ class HandctlExchange:
 
 
 class HandwrittenCodecExchange:
-    """Exchange over python-can that encodes and decodes with typical hand-written code.
+    """Exchange over python-can, with typical hand-written code for encoding and decoding.
 
     The class sends and receives one message at a time.
     """
@@ -155,7 +155,7 @@ class HandwrittenCodecExchange:
 
 
 class CantoolsExchange(HandwrittenCodecExchange):
-    """Exchange over python-can with a codec that cantools makes from a DBC file.
+    """Exchange over python-can, with a codec that cantools makes from a DBC file.
 
     The class sends and receives one message at a time.
     """

@@ -19,9 +19,9 @@ from exchange.can_exchanges import feedback_frame
 
 
 class DamiaoClient:
-    """Client damiao-motor, without its polling thread.
+    """Client of the package damiao-motor, whose polling thread is stopped.
 
-    The method `receive` polls the bus in place of the polling thread.
+    Instead of the polling thread, the method `receive` polls the bus.
     """
 
     reply_of = staticmethod(feedback_frame)
@@ -89,8 +89,8 @@ class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9.
 
     The class calls the functions that the notifier thread of TMotorCANControl would call.
-    TMotorCANControl supports only the interface can0. TMotorCANControl would run the command ``sudo
-    ip link set can0``, which the benchmark leaves out.
+    TMotorCANControl supports only the interface can0. By default, TMotorCANControl also runs the
+    command ``sudo ip link set can0``. This class does not run the command.
     """
 
     def __init__(self, interface, channel, motor_count):

@@ -1,6 +1,6 @@
-"""The two buses of the exchange benchmark, with simulated motors.
+"""Define the two buses of the exchange benchmark, each with simulated motors.
 
-The benchmark subtracts the time that the simulated motors take.
+The benchmark subtracts the time of the simulated motors from the measured time.
 """
 
 import os
@@ -22,7 +22,7 @@ The motors are numbered from 1.
 
 
 class LocalMotors:
-    """Simulated motors that reply on a Unix socket, in place of the hub process of a local bus."""
+    """Simulated motors that reply on a Unix socket. The motors replace the hub process of a local bus."""
 
     def __init__(self, bus_name: str) -> None:
         self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{bus_name}.bus"

@@ -2,10 +2,10 @@
 
 The objects were fixed before any grasp was tuned.
 
-The size of the hand determines the sizes of the objects. An object of 42 mm fits between straight
-fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. Each object is
-shifted at random by up to 1 mm along x and 2 mm along y. The seed of the run determines how far the
-object is shifted.
+The size of the hand determines the sizes of the objects. An object of 42 mm fits between the
+straight fingers and the thumb. A fingertip can touch the thumb at a distance of about 25 mm from
+the palm. Each object is shifted at random by up to 1 mm along x and 2 mm along y. The seed of the
+run determines how far the object is shifted.
 """
 
 import random
@@ -36,7 +36,7 @@ PLACEMENT_SHIFT_M = (1e-3, 2e-3)
 
 @dataclass(frozen=True)
 class GraspCase:
-    """An object and the kind of its grasp.
+    """An object, and the kind of grasp with which the hand holds the object.
 
     The fields are: kind of grasp, shape, full width [m], friction, mass [kg], and x and y of the
     object's centre [m].

@@ -29,7 +29,7 @@ GRASP_TIMEOUT_S = 10.0
 
 
 def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
-    """Measure the largest motion of an object in each stage of the scene [mm].
+    """Measure the largest motion [mm] of an object in each stage of the scene.
 
     If the grasp failed, the result also contains the reason of the failure.
     """

@@ -31,10 +31,10 @@ RUN_DURATION_S = 20.0
 
 
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Measure the payload of a hand [kg] in one direction of the load, for one seed.
+    """Measure the payload [kg] of a hand for one direction of the load and one seed.
 
-    A load along the joint axes acts in the direction of gravity. For this direction, the result
-    includes the mass of the object.
+    A load along the joint axes acts in the direction of gravity. Therefore, the payload along the
+    joint axes includes the mass of the object.
     """
     hand, direction, seed = job
     case = GRASP_CASES[1]

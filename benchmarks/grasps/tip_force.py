@@ -1,10 +1,10 @@
 """Measure the force at a fingertip: the commanded force, the estimate of the controller, and the true force.
 
-In a hold phase with ``tip_force_N``, the digits press with their last links on a wall. No other
-link touches the wall. For `jamia11`, which has joint encoders, the controller computes the tensions
-from the Jacobian. Each digit of `jamia` has only one tendon, and the controller approximates the
-tension that causes the commanded force. For `jamia`, handctl refuses a task file that commands a
-tip force, because the error that this benchmark measures is too large.
+In a hold phase with ``tip_force_N``, the digits press on a wall. Only the last link of each digit
+touches the wall. For `jamia11`, which has joint encoders, the controller computes the tensions from
+the Jacobian. Each digit of `jamia` has only one tendon, and the controller approximates the tension
+that causes the commanded force. For `jamia`, handctl refuses a task file that commands a tip force,
+because the error that this benchmark measures is too large.
 """
 
 import random
