@@ -1,4 +1,4 @@
-"""Run `handctl demo` in lockstep with every packaged hand and protocol, and report the worst results.
+"""Run `handctl demo` for every packaged hand and drive protocol in lockstep, and report the worst results.
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
@@ -66,7 +66,7 @@ def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
 
 
 def error_limits(hand_name: str, duration_s: float) -> dict[str, float]:
-    """Return the limits of the errors in a run.
+    """Return the largest permitted value of each error in a run.
 
     No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is at
     least `DRIFT_SIGMAS` standard deviations of the drift that a load cell has during the run.

@@ -227,7 +227,7 @@ def measures_of_case(runs: list[SensingRun], period_s: float) -> dict[str, float
 
 
 def measure_sensing(seed_count: int) -> dict[str, Any]:
-    """Measure all cases without faults, and then the reactions to injected faults.
+    """Measure the accuracy in all cases without faults, and then the reactions to injected faults.
 
     The faults are injected on jamia, with and without load cells.
     """
@@ -324,7 +324,7 @@ def page_text(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure all hands and sets of sensors, and print the result or write the page."""
+    """Measure the accuracy for all hands and sets of sensors, and print the result or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
     parser.add_argument(
         "--seeds", type=int, default=20, help="number of runs for each hand (default: 20)"

@@ -27,7 +27,7 @@ CLOCK_READ_COUNT = 10_000
 
 
 def main() -> None:
-    """Measure all cases of hand, protocol and scene, and print the results."""
+    """Measure the CPU time for each combination of hand, protocol and scene, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

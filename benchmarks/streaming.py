@@ -81,7 +81,7 @@ def sine_angle_deg(t: float) -> float:
 
 
 class MisbehavingClient:
-    """A stream of targets for one digit, to which the caller can add wrong targets.
+    """A stream of targets for one digit. The caller can add wrong targets to the stream.
 
     The targets bypass the checks of ``TargetStream.send``.
     """
@@ -370,9 +370,9 @@ def measure_clients(
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
-    A client that starts the controller itself gets a separate hand. The run of a controller ends
-    when its client is killed. After a client of a hand has been killed, no other client uses the
-    same hand.
+    A client that starts the controller itself gets a separate hand. When a client is killed, the
+    controller ends the run of the hand. Therefore, a client that is killed is the last client of
+    its hand.
     """
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
@@ -397,8 +397,9 @@ def _run_clients(
 ) -> tuple[dict[str, Any], int]:
     """Run several clients, one after another, on one simulated hand.
 
-    Return the ticks of each misbehaviour, how many targets were accepted and refused, and the start
-    of the run on the clock of the hand [ns].
+    For each client, return the first and the last tick of its misbehaviour, and the numbers of
+    accepted and refused targets. Also return the start time of the run on the clock of the hand
+    [ns].
     """
     if client_names == ["killed-owner"]:
         window, start_ns = _run_one_client(hand_process_run, client_names[0], None)
@@ -468,7 +469,8 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
 
     The function computes the start time of the run from an observation. The computed time is too
     late by the duration of the tick, because an observation is published at the end of the tick.
-    The function therefore uses the shortest of many ticks, which lasts about 0.1 ms.
+    Therefore, the function computes the start time from many observations, and returns the earliest
+    result. The earliest result is too late by the duration of the shortest tick, about 0.1 ms.
     """
     assert hand is not None
     starts_ns = list[int]()
@@ -648,9 +650,10 @@ def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure the delay from the time when the client sends a target to the first command frames with this target [ms].
+    """Measure the delay of each target of a client [ms].
 
-    The delay ends when the first tick that uses the target has sent its command frames.
+    The delay begins when the client sends the target. The delay ends when the first tick that uses
+    the target has sent its command frames.
     """
     delays: list[float] = []
     random_source = random.Random(0)
@@ -718,7 +721,7 @@ def print_results(result: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure the selected parts of the streaming benchmark, and print the results."""
+    """Run the selected parts of the streaming benchmark, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "part",

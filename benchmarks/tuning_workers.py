@@ -1,4 +1,4 @@
-"""Compare the time that one worker and two workers need for the same trials of a search for gains.
+"""Compare how long one worker and several workers take for the same trials of a search for gains.
 
 The wall time depends on other load on the computer. The CPU time of the busiest worker is the wall
 time that the trials would take on cores without other load. Wall time and CPU time both include the
@@ -27,9 +27,9 @@ RATE_HZ = 500.0
 
 
 def scoring_jobs(job_count: int) -> list[ScoringJob]:
-    """Return jobs for trials whose gains differ slightly.
+    """Return jobs for trials that differ slightly in their gains.
 
-    The search would compute equal trials only once.
+    If the trials were equal, the search would compute only one of them.
     """
     gain_changes = [
         gains_with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")

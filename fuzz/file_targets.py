@@ -38,7 +38,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_hand_parts(hand: Hand) -> None:
-    """Construct from a hand all objects that a run constructs before it opens a bus."""
+    """Construct the objects that a run constructs from its hand before the run opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:
@@ -179,7 +179,7 @@ def gains_fuzz_target(folder: Path) -> FuzzTarget:
 def calibration_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the fuzzing target that applies a calibration to a hand.
 
-    The fuzzing target reads the calibration from a file that contains identified values.
+    The fuzzing target reads the calibration from a file, which also contains identified parameters.
     """
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}

@@ -4,9 +4,10 @@
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
-The first byte of an input selects the initial state of the drive. The first inputs of the corpus
-are recorded frames that handctl receives from a drive before the drive makes torque. Purely random
-CAN identifiers would hardly ever be identifiers of a node.
+The first byte of an input selects the initial state of the drive. The corpus begins with inputs
+that contain recorded frames. These frames came from a drive between the first tick and the tick in
+which the drive made torque. Purely random CAN identifiers would hardly ever be identifiers of a
+node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +40,7 @@ MAX_PAYLOAD_BYTES = 64
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield each frame of an input, together with the control byte of the frame header.
+    """Yield each frame of an input, together with the third byte of its header in the input.
 
     Most of the frames have an identifier of the fuzzed node.
     """
@@ -126,7 +127,7 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
 
 
 def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState]) -> list[int]:
-    """Return at most 256 CAN identifiers, of which one byte of an input can select one.
+    """Return at most 256 CAN identifiers, so that one byte of an input can select an identifier.
 
     The identifiers of the recorded frames come first.
     """
@@ -165,9 +166,10 @@ def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
 def _feed_drive(
     motor: Drive, start_state: RecordedState, drive_identifiers: Sequence[int], data: bytes
 ) -> bool:
-    """Feed the frames of an input to a drive, and request a drive phase (such as enabled) after each frame.
+    """Feed the frames of an input to the decoder of a drive.
 
-    Return True if any frame changed the state of the drive.
+    After each frame, the function requests a drive phase (such as enabled). Return True if any
+    frame changed the state of the drive.
     """
     state = start_state.state
     is_accepted = False
@@ -212,7 +214,7 @@ def _feed_sensor_node(
 ) -> bool:
     """Feed the frames of an input to the decoder of the sensor node.
 
-    The decoder starts in the state ``initial_block``.
+    ``initial_block`` is the initial state of the decoder.
 
     Return True if the decoder used any frame, or found any frame malformed or stale.
     """

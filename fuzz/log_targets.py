@@ -1,7 +1,7 @@
 """Fuzzing targets for logs.
 
-The inputs of a fuzzing target are arbitrary bytes, or a log without checksums in which records are
-changed.
+An input is either arbitrary bytes, or a log in which some records are changed. In the changed log,
+all checksums are zero.
 """
 
 import contextlib
@@ -77,7 +77,7 @@ def _is_readable(path: Path) -> bool:
 
 
 def log_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the fuzzing target for a log in which records inside and outside of chunks are changed.
+    """Return the fuzzing target for a log with changed records inside and outside of chunks.
 
     Most of the changed records have a valid length.
     """

@@ -44,7 +44,7 @@ class MemorySampler:
         self.until_s = end_time_s
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return a stop request if the time ``end_time_s`` of the run has come."""
+        """Return a stop request if the run has reached its end time."""
         return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:

@@ -19,10 +19,10 @@ function, and that mutmut did not run the mutant.
 
 
 def main() -> int:
-    """Print a table of the scores, and the surviving mutants for which the document gives no reason.
+    """Print a table of the scores, and the surviving mutants for which docs/evidence/mutation.md gives no reason.
 
-    Return 1 if the document gives no reason for a surviving mutant, or if the mutation test has not
-    finished any mutant.
+    Return 1 if a surviving mutant has no reason in docs/evidence/mutation.md, or if the mutation
+    test has not finished any mutant.
     """
     reasons = EXPLANATIONS_FILE.read_text() if EXPLANATIONS_FILE.exists() else ""
     unexplained_mutants = list[str]()

@@ -80,8 +80,8 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
     The growth is the slope of a line through the largest value in each window of ``PEAK_WINDOW_S``.
-    With the largest values, memory that a process frees and allocates again does not count as
-    growth.
+    Because only the largest values count, memory that a process frees and allocates again is not
+    mistaken for growth.
     """
     warm_samples = [sample for sample in samples if sample.time_s - samples[0].time_s >= warm_up_s]
     if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_TIME_S:
@@ -106,7 +106,7 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
 
 
 class SoakTest:
-    """The processes of simulator and controller, with memory samples, counts of events, and errors."""
+    """State of a soak test: processes of simulator and controller, memory samples, counts of events, and errors."""
 
     def __init__(self, seed: int, time_scale: float) -> None:
         """Create a test without processes.

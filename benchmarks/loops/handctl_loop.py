@@ -47,8 +47,8 @@ class HoldPositionProgram:
 class ReplyDrivenClock:
     """Clock without deadlines.
 
-    The next tick begins when the first reply to the last tick has arrived, and after 2 ms at the
-    latest.
+    The next tick begins when the first reply to the commands of the preceding tick has arrived. If
+    no reply arrives, the next tick begins after 2 ms.
     """
 
     fd: int

@@ -1,7 +1,8 @@
 """Simulate drives and load cells at rest.
 
-The replies of the nodes are stored, and each drive reports the torque of the preceding command.
-Tendons and digits do not move. The drives are Damiao motors in MIT mode.
+The nodes send stored replies. In a stored reply of a drive, only the reported torque changes: it is
+the torque of the preceding command. Tendons and digits do not move. The drives are Damiao motors in
+MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
 when the drives are ready.
@@ -51,7 +52,7 @@ LOW_HALF = 0x0F
 
 @dataclass
 class CommandBatch:
-    """Cached replies to the commands of a tick, which arrive together.
+    """Stored replies of the drives to the commands of one tick. The commands arrive together.
 
     Attributes:
         replies: (drives, ``RECORD_SIZE``) reply of each drive, as the bytes of a frame record.
@@ -62,9 +63,9 @@ class CommandBatch:
     last_torques: NDArray[np.uint8]
 
     def replies_to(self, commands: bytes) -> bytes:
-        """Return the frame records of the replies to the records of all commands.
+        """Return the replies of all drives to the commands of one tick, as frame records.
 
-        Each reply contains the torque of the preceding command.
+        Each reply contains the torque of the preceding command to the same drive.
         """
         torque_bytes = torque_bytes_of(commands)
         self.replies[:, REPLY_TORQUE_OFFSET] &= HIGH_HALF
@@ -75,7 +76,10 @@ class CommandBatch:
 
 
 def torque_bytes_of(commands: bytes) -> NDArray[np.uint8]:
-    """Return the two torque bytes (commands, 2) in the records of commands."""
+    """Return the two torque bytes of each command, as an array (commands, 2).
+
+    The argument contains the frame records of the commands.
+    """
     records = np.frombuffer(commands, np.uint8).reshape(-1, RECORD_SIZE)
     return records[:, COMMAND_TORQUE_OFFSET : COMMAND_TORQUE_OFFSET + 2]
 
@@ -83,12 +87,12 @@ def torque_bytes_of(commands: bytes) -> NDArray[np.uint8]:
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    A reply that was computed once is not computed again. Only the torque in the reply of a drive
-    follows the commands. If the reported torque were constant, the controller would report that the
-    drive does not obey (fault N14).
+    A reply that was computed once is not computed again. Only the torque that a drive reports
+    changes with the commands. If the reported torque were constant, the controller would report
+    that the drive does not obey (fault N14).
 
-    A control loop can send the commands of a tick together. To such a batch, the nodes reply
-    together, as drives on a real bus compute their replies at the same time.
+    A control loop can send all commands of a tick as one batch. The replies to a batch are sent
+    together, because drives on a real bus compute their replies at the same time.
     """
 
     def __init__(self, hand_name: str) -> None:
@@ -100,7 +104,10 @@ class CachedReplies:
         self.batches: dict[bytes, CommandBatch] = {}
 
     def replies_to_records(self, records: bytes) -> bytes:
-        """Return the frame records with the replies of all nodes to some frame records that arrived together."""
+        """Return the replies of all nodes to frames that arrived together.
+
+        The frames and the replies are frame records of the local bus.
+        """
         batch_start = RECORD_SIZE if frame_of(records).can_id == self.sync else 0
         commands = records[batch_start:]
         # The two bytes of the identifiers, for all records.
@@ -176,7 +183,7 @@ def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
     """Copy the torque of a command into the stored reply of a drive, and return the changed reply.
 
     The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
-    bits of byte 5 contain the torque. Both have the same scale.
+    bits of byte 5 contain the torque. The torques of command and reply have the same scale.
     """
     record = bytearray(reply)
     record[REPLY_TORQUE_OFFSET] = reply[REPLY_TORQUE_OFFSET] & HIGH_HALF | command[6] & LOW_HALF
@@ -185,7 +192,7 @@ def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
 
 
 def frame_of(records: bytes) -> Frame:
-    """Return the first frame of some frame records."""
+    """Return the first frame in a sequence of frame records."""
     frames, _ = split_records(records[:RECORD_SIZE], 0)
     return frames[0]
 

@@ -103,7 +103,7 @@ weights.
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor by which the benchmark multiplies the motor force in the LQR cost at a control rate.
+    """Return the factor by which the benchmark multiplies the weight of the motor force at a control rate.
 
     At a low control rate, the controller reduces the weight of the motor force in the LQR cost. The
     factor cancels this reduction.

@@ -1,4 +1,4 @@
-"""Section on the tension estimate in ``docs/evidence/control.md``, with its picture."""
+"""Write the section on the tension estimate of ``docs/evidence/control.md``, and draw its picture."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ NIS_RANGE = (0.8, 1.3)
 
 
 def page_section(result: dict) -> str:
-    """Return the Markdown section of a result of ``estimation.measure_estimators``."""
+    """Convert a result of ``estimation.measure_estimators`` to the Markdown text of the section."""
     paragraphs = ["## The tension estimate", ""]
     min_seed_count = min(result["seeds"].values())
     max_seed_count = max(result["seeds"].values())
@@ -114,7 +114,7 @@ def _plant_mismatch_row(plant_name: str, regimes_table: dict, regimes: list[str]
 
 
 def _conclusion_text(result: dict) -> str:
-    """Return the conclusion of the section on the tension estimate, derived from the numbers in a result."""
+    """Return the conclusion that the section on the tension estimate draws from the numbers in a result."""
     passing_cases = []
     failing_cases = []
     stricter_ratios = []

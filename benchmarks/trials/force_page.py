@@ -14,7 +14,7 @@ COLUMN_BY_FIGURE = {
 
 
 def page_section(result: dict[str, Any]) -> str:
-    """Return the Markdown section of a result of ``force.measure_force``."""
+    """Convert a result of ``force.measure_force`` to the Markdown text of the section."""
     paragraphs = ["## A step of force", ""]
     paragraphs += [
         "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "
@@ -61,7 +61,7 @@ def _rmse_cell(row: dict[str, Any] | None) -> str:
 
 
 def _conclusion_text(result: dict[str, Any]) -> str:
-    """Return the conclusion of the section on the force step, derived from the numbers in a result."""
+    """Return the conclusion that the section on the force step draws from the numbers in a result."""
     texts = []
     for hand, plants in result["hands"].items():
         without_estimate, raw_row, estimate_row = plants["as known"].values()

@@ -67,8 +67,8 @@ The gains of the force loops were not tuned.
 class ForceLoop:
     """Configuration of a force loop.
 
-    The configuration contains only the gains that differ from the default gains. The input of the
-    force loop is either the raw load cell or the estimated tension.
+    ``motion_gains`` and ``tension_gains`` contain only the gains that differ from the default
+    gains. The input of the force loop is either the raw load cell or the estimated tension.
     """
 
     motion_gains: dict[str, float] = field(default_factory=dict)

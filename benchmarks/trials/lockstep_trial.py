@@ -100,7 +100,7 @@ class TrialRecord:
 
     @property
     def times(self) -> FloatArray:
-        """Return the time of each tick (ticks,) [s]."""
+        """Return the time of each tick [s], as an array (ticks,)."""
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
@@ -169,7 +169,8 @@ def _filtered_tension(
 ) -> list[float]:
     """Return the estimated tension of each tendon at the time of the load-cell readings [N].
 
-    The function undoes the prediction of the filter from the time of the readings to the present.
+    The filter predicts the tension from the time of the readings to the present. The function
+    undoes this prediction.
 
     Args:
         filter_design: design of the filter.

@@ -6,9 +6,9 @@ noise, or that has more inputs, can have a smaller error.
 The filter has seven states per tendon. Four states are the travel and speed of the tendon at the
 spool, and the excursion and its rate at the joints. The other states are random forces on motor and
 joint (Gauss-Markov processes), and the stretch offset. The measurements are load cell and encoder.
-Constants of this module describe the disturbances. The digit of a tendon moves freely against its
-springs, or presses on a stiff object. ``scipy`` computes the reference filter, independently of the
-filter design in the controller.
+Constants of this module describe the disturbances. The filter is computed either for a digit that
+moves freely against its springs, or for a digit that presses on a stiff object. ``scipy`` computes
+the reference filter, independently of the filter design in the controller.
 """
 
 import numpy as np
@@ -38,12 +38,11 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def reference_sigma(
     model: HandModel, tendon_index: int, is_digit_held: bool, with_joint_encoder: bool = True
 ) -> tuple[float, float]:
-    """Return two standard deviations of the tension of a tendon [N].
+    """Return the standard deviation of the tension of a tendon at two times [N].
 
-    The first standard deviation belongs to the time of the last load-cell reading, and the second
-    to the present. The controller estimates the present tension, one control period after the
-    load-cell reading. The benchmark compares the error of this estimate with both standard
-    deviations.
+    The first value belongs to the time of the last load-cell reading, and the second value to the
+    present. The controller estimates the present tension, one control period after the load-cell
+    reading. The benchmark compares the error of this estimate with both values.
 
     Args:
         model: hand and control rate.

@@ -46,7 +46,7 @@ def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
 def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
     """Return the time since each signal last became true [s], as an array (ticks, tendons).
 
-    Pauses of a signal that are shorter than ``SETTLING_TIME_S`` are ignored.
+    If a signal is false for less than ``SETTLING_TIME_S``, the function ignores this interruption.
     """
     time_since_rise = np.full(signals.shape, np.inf)
     for i in range(signals.shape[1]):
@@ -82,7 +82,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 
 
 def _widened_mask(signals: MaskArray, times: FloatArray, max_time_difference: float) -> MaskArray:
-    """Return a mask (ticks, tendons) that is also True near the ticks in which a signal is True.
+    """Return a mask (ticks, tendons) that is True in and near the ticks in which a signal is True.
 
     Two ticks are near each other if the time between them is at most ``max_time_difference`` [s].
     """

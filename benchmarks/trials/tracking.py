@@ -11,11 +11,11 @@ effects.
 
 Each control law, including PD, has two LQR weights. For each control law, the benchmark selects the
 pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The
-results are measured with other seeds than the selection of the LQR weights. ``--tune`` repeats the
-selection of the LQR weights. With the selected LQR weights, the control loops have hardly any
-stability margin. A second comparison uses the best LQR weights with sufficient stability margins.
-Margins of 6 dB and 45 degrees are sufficient, if random hands with parameters close to the hand
-file also keep these margins.
+seeds of the measured trials differ from the seeds with which the LQR weights were selected.
+``--tune`` repeats the selection of the LQR weights. With the selected LQR weights, the control
+loops have hardly any stability margin. A second comparison uses the best LQR weights with
+sufficient stability margins. Stability margins are sufficient from 6 dB and 45 degrees. Random
+hands with parameters close to the hand file must also have these margins.
 """
 
 import argparse
@@ -365,7 +365,7 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases and print the results.
+    """Measure the tracking errors and the force steps in all cases, and print the results.
 
     With the option ``--tune`` or ``--page``, also write the LQR weights or the page.
     """

@@ -1,4 +1,4 @@
-"""Section on tracking in ``docs/evidence/control.md``, with its picture."""
+"""Write the section on tracking of ``docs/evidence/control.md``, and draw its picture."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ MIN_SHOWN_ERROR_DEG = 0.03
 
 
 def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Return the Markdown section of a result of ``tracking.measure_tracking``.
+    """Convert a result of ``tracking.measure_tracking`` to the Markdown text of the section.
 
     Args:
         result: result of ``tracking.measure_tracking``.
@@ -107,7 +107,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
 
 
 def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Return the conclusion of the section on tracking, derived from the numbers in a result."""
+    """Return the conclusion that the section on tracking draws from the numbers in a result."""
     best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (
         f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed_row, best_row)}\n\nEach entry is the "
@@ -146,9 +146,10 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Return a text that gives a reduction of the tracking error as a number of standard deviations over the seeds.
+    """Return a text with the ratio of a reduction of the tracking error to its standard deviation.
 
-    With a single seed, there is no standard deviation.
+    The standard deviation is computed over the seeds. With a single seed, there is no standard
+    deviation.
     """
     return (
         f", which is {error_reduction / max(seed_range, 1e-9):.0f} times the spread"
@@ -158,7 +159,7 @@ def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int)
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Return a text that states the error of the preceding control law minus the error of each control law [deg].
+    """Return a text that states by how much each control law reduces the error of the preceding control law [deg].
 
     The text states whether a change of the error is larger than two standard deviations of this
     change over the seeds.

@@ -97,7 +97,10 @@ def rosbags_writer(path: Path) -> LibraryWriter:
 
 
 def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> Any:
-    """Convert plain values to an object of a type in the type store."""
+    """Convert plain values to an object of the message type ``type_name``.
+
+    ``type_store`` contains the definition of the message type.
+    """
     import numpy as np
 
     fields = {}

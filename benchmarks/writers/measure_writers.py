@@ -1,4 +1,4 @@
-"""Measure all log writers.
+"""Measure the CPU time of all log writers.
 
 Each log writer writes the same run. The program reads each log back, and prints the CPU times of
 writing and reading.
@@ -33,7 +33,7 @@ EXECUTION_COUNT = 5
 
 
 def main(description: str) -> None:
-    """Measure all log writers and print the results."""
+    """Measure the CPU time of all log writers, and print the results."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument(
         "--quick",
@@ -81,9 +81,9 @@ def measure_all_writers(
 def conversion_cpu_s(log_folder: Path) -> float:
     """Return the mean time to record a tick that the controller has just computed [s].
 
-    The controller re-executes the run of a log. As in a control loop, the outputs of a tick are
-    still in the caches of the processor when they are recorded. The run is repeated, and the
-    shortest recording time of each tick is used.
+    For the measurement, the controller re-executes a run from its log. The outputs of a tick are
+    recorded while they are still in the caches of the processor, as in a control loop. The run is
+    repeated, and the shortest recording time of each tick is used.
     """
     durations = list[list[float]]()
     with RunLog(EXECUTED_LOG_PATH) as log:

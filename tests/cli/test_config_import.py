@@ -1,7 +1,8 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links from a robot description. In the resulting hand file, some values are
-missing. Until a user has added these values, handctl refuses the hand file.
+The options ``--urdf`` and ``--mjcf`` import the links from a robot description. Some values are
+missing in the resulting hand file. handctl refuses the hand file until a user has added the missing
+values.
 """
 
 import itertools
@@ -379,7 +380,7 @@ def test_a_joint_that_follows_another_becomes_a_coupling(work_folder: Path) -> N
 
 @pytest.mark.parametrize("format_option", FILE_BY_OPTION)
 def test_an_exported_coupling_is_imported(work_folder: Path, format_option: str) -> None:
-    """Reproduce a defect: `config init` refused the export of a hand with coupled spool pairs."""
+    """Reproduce a defect: `config init` refused an exported robot description with coupled spool pairs."""
     hand_file = str(Path(__file__).parents[1] / "hand" / "pairs_and_springs.toml")
     exported_file = FILE_BY_OPTION[format_option]
     words = ["config", "export", format_option, "--hand", hand_file, "--output", exported_file]

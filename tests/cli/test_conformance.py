@@ -124,9 +124,9 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
     """Reproduce a defect: ``conformance`` expected that the replies of a RobStride motor have the CAN identifier 0x11.
 
-    A new RobStride motor replies with the identifier 0 (its setting for the identifier of the
-    host). The simulated motor had no fault, but failed the first check, so ``conformance`` did not
-    check the motion of the motor.
+    In a new RobStride motor, the setting for the identifier of the host is 0, and the motor replies
+    with this identifier. The simulated motor had no fault, but failed the first check, so
+    ``conformance`` did not check the motion of the motor.
     """
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):
@@ -161,7 +161,7 @@ def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
 @pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_drive_that_never_answers_is_not_called_off():
-    """Reproduce a defect: `conformance` reported that a CubeMars motor is off, although the motor sent no frame."""
+    """Reproduce a defect: `conformance` reported that a silent CubeMars motor is off, although the motor may be on."""
     words = ["--protocol", "cubemars", "--node", "1", "--option", "motor_type=ak80-6", "--yes"]
     with run_simulated_drives("local:c", "cubemars", "--ids", "1", "--broken", "mute"):
         done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")

@@ -152,7 +152,10 @@ def mistake_cases():
 
 
 def text_with_repeated_key(text, key):
-    """Return TOML text in which one key and its value occur twice, in a line or in an inline table."""
+    """Return TOML text in which one key and its value occur twice.
+
+    The second occurrence is on the next line, or in the same inline table as the first.
+    """
     entry = re.search(rf"(?<![\w-]){re.escape(key)} = (\[[^\]]*\]|[^,}}\n]*[^,}}\s])", text)
     separator = "\n" if text[: entry.start()].rpartition("\n")[2] == "" else ", "
     return text[: entry.end()] + separator + entry.group() + text[entry.end() :]

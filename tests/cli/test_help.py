@@ -36,7 +36,10 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return a dictionary from the words of each command without sub-commands to the parser of the command."""
+    """Return a dictionary from the words of each command, such as ``config init``, to its parser.
+
+    The dictionary does not contain commands that have sub-commands.
+    """
     parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)

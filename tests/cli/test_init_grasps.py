@@ -227,7 +227,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
 def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
-    """Reproduce a defect: `config check` did not check the gain margin of a hand without load cells at 400 Hz.
+    """Reproduce a defect: `config check` did not check the gain margin at 400 Hz for a hand without load cells.
 
     The hand of this test has springs.
     """
@@ -251,9 +251,9 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 @pytest.mark.parametrize("rate_hz", [500.0, 200.0, 100.0])
 @pytest.mark.parametrize("hand_file", ["pairs_and_springs.toml", "mixed_gripper.toml"])
 def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float) -> None:
-    """The default ``motion.force_N`` is the largest candidate with the required gain margin.
+    """The default ``motion.force_N`` is the largest of the candidate values that keep the required gain margin.
 
-    With the next larger candidate, the gain margin is too small.
+    With the next larger candidate value, the gain margin is too small.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / hand_file)
     force = default_gains(hand, rate_hz).motion.force_N
@@ -280,7 +280,7 @@ def test_the_default_gains_of_a_packaged_hand_are_packaged(hand_name: str) -> No
 def test_antagonists_without_load_cells_need_a_higher_rate(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: at 250 Hz, a freely closing digit caused the fault T01 (a tendon snapped)."""
+    """Reproduce a defect: at 250 Hz, handctl reported a snapped tendon (fault T01) while a digit closed freely."""
     words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
     write_initial_hand(*words, "--cells", "none")
     hand = load_hand("mine.toml")

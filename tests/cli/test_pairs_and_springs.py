@@ -254,7 +254,10 @@ def test_the_first_demo_grasps_in_every_direction_of_gravity(
 def test_a_run_that_a_fault_holds_prints_json(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: with ``--json``, a command printed nothing if a fault held the hand until the timeout."""
+    """Reproduce a defect: with ``--json``, a command printed nothing if the hold timeout ended its run.
+
+    The hold timeout ends a run in which a fault stops the motion for too long.
+    """
     write_hand()
     words = ["identify", "--lockstep", "--hand", "mine.toml", "--digits", "opposer", "--json"]
     assert main([*words, "--gain", "motion.force_N=13"]) == 1

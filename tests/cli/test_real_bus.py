@@ -101,7 +101,7 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
     """Reproduce a defect.
 
-    handctl armed a real hand with the calibration of a simulated hand in two cases. In the first
+    In two cases, handctl armed a real hand with the calibration of a simulated hand. In the first
     case, neither hand had serial numbers. In the second case, both hands had the same serial
     numbers.
     """
