@@ -27,11 +27,11 @@ CODE_PATTERNS_BY_PART = {
 }  # fmt: skip
 """Parts of the program. Each part is defined by substrings that occur in the paths or in the names of its functions.
 
-A function belongs to the first part that has a substring of its path or name. The profiler does not
-see compiled functions, and counts their time for the Python function that calls them. Each stage of
-the tick is recognised by the method that runs the stage. The compiled function that simulates
-tendons and rotors calls ``mj_step``. The part ``mj_step`` of the profile includes the time of
-tendons and rotors.
+A function belongs to the first part of which a substring occurs in the path or name of the
+function. The profiler does not see compiled functions, and counts their time for the Python
+function that calls them. Each stage of the tick is recognised by the method that runs the stage.
+The compiled function that simulates tendons and rotors calls ``mj_step``. The part ``mj_step`` of
+the profile includes the time of tendons and rotors.
 """
 
 ProfiledFunction = tuple[str, int, str]

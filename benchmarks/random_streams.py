@@ -3,8 +3,8 @@
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
 untrained policy sends a random target for every digit 50 times a second. The target angles are
 anywhere in the range of the joints. The digits collide with each other and with the palm. Targets
-of the kind *noise* are independent random angles. *steps* keeps a random angle for 0.1 to 0.6 s,
-and *walk* adds a random step to the last angle.
+of the kind *noise* are independent random angles. Targets of the kind *steps* keep a random angle
+for 0.1 to 0.6 s. Targets of the kind *walk* add a random step to the last angle.
 """
 
 import argparse

@@ -3,11 +3,11 @@
 Also measure the time that a handctl command needs to print its help.
 
 ``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus on which no other
-program sends. The kernels and the byte code of Python are compiled before the first measurement. As
-a reference, the benchmark also measures a start of Python that imports numpy. The starts of Python
-alternate with the starts of handctl. To compare two runs of the benchmark, compare the ratios of
-the start times to the start time of Python. Other programs affect the CPU time less than the wall
-time.
+program sends. The byte code of Python and the kernels of handctl are compiled before the first
+measurement. As a reference, the benchmark also measures a start of Python that imports numpy. The
+starts of Python alternate with the starts of handctl. To compare two runs of the benchmark, compare
+the ratios of the start times to the start time of Python. Other programs affect the CPU time less
+than the wall time.
 """
 
 import argparse

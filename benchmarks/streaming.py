@@ -76,7 +76,7 @@ CommissionedHand = tuple[Path, tuple[str, ...]]
 
 
 def sine_angle_deg(t: float) -> float:
-    """Return the angle of the streamed motion at a time [deg]. The motion is a sine of 1 Hz."""
+    """Return the angle [deg] of the streamed motion at a time. The motion is a sine of 1 Hz."""
     return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * math.sin(2.0 * math.pi * t)
 
 
@@ -152,7 +152,7 @@ def flood_with_targets(client: MisbehavingClient) -> None:
 
 
 def send_constant(target_value: float) -> Any:
-    """Return a client behaviour (a function) that sends the same value as every target."""
+    """Return a client behaviour (a function) that always sends the same value instead of the correct targets."""
 
     def misbehave(client: MisbehavingClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_DURATION_S):
@@ -619,7 +619,7 @@ def measure_latency(bus_name: str, duration_s: float) -> dict[str, Any]:
 
 
 def _observation_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Return the age of each observation at the moment when the client receives it [ms]."""
+    """Return the age [ms] of each observation at the moment when the client receives the observation."""
     ages: list[float] = []
     end = time.monotonic() + duration_s
     for observation in hand.observations():
@@ -630,7 +630,7 @@ def _observation_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Return the age of each status line at the moment when the client receives it [ms].
+    """Return the age [ms] of each status line at the moment when the client receives the status line.
 
     The controller sends 50 status lines a second.
     """
@@ -674,7 +674,7 @@ def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure the time from the sending of each move request to its confirmation by the controller [ms]."""
+    """Measure the time [ms] from the sending of each move request until the controller confirms the request."""
     delays: list[float] = []
     end = time.monotonic() + duration_s
     while time.monotonic() < end:

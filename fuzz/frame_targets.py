@@ -30,7 +30,7 @@ IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_REQUEST_BIT = 0x40
-"""Bit of the third byte in a frame header of the input, which requests to clear the error of the drive.
+"""Bit of the third byte in a frame header of the input.
 
 If the bit is set, the fuzzing target clears the error of the drive.
 """

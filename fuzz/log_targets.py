@@ -1,7 +1,7 @@
 """Fuzzing targets for logs.
 
 An input is either arbitrary bytes, or a log in which some records are changed. In the changed log,
-all checksums are zero.
+all checksums are zero, so the records count as records without a checksum.
 """
 
 import contextlib

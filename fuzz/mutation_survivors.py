@@ -13,8 +13,8 @@ EXPLANATIONS_FILE = Path("docs/evidence/mutation.md")
 SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
 """Exit codes of mutants in the records of mutmut.
 
-The three groups of exit codes mean that no test failed, that no selected test calls the mutated
-function, and that mutmut did not run the mutant.
+In the first group, no test failed. In the second group, no selected test calls the mutated
+function. In the third group, mutmut did not run the mutant.
 """
 
 

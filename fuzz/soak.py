@@ -46,7 +46,7 @@ PEAK_WINDOW_S = 300.0
 The growth of the memory is computed from the largest value in each time window.
 """
 MIN_SLOPE_TIME_S = 1800.0
-"""Shortest time [s] from which the growth of the memory per hour is computed."""
+"""Shortest duration of the samples [s] from which the growth of the memory per hour is computed."""
 ACCEPTED_EXIT_CODES = (0, 1, 71)
 """Accepted exit codes of controllers: 0 (done), 1 (ended by a fault), 71 (a drive did not confirm its stop)."""
 SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")

@@ -1,4 +1,4 @@
-"""Measure the delay of contact detection at a fingertip, and the false contact events.
+"""Measure the delay of contact detection at a fingertip, and count the false contact events.
 
 The delay of contact detection begins when the true contact force reaches 1 N.
 """

@@ -177,7 +177,7 @@ def _is_lost(plant: Plant) -> bool:
 
 
 def stage_motions(run: GraspRun) -> list[float]:
-    """Return the largest motion of the object in each stage [m].
+    """Return the largest motion [m] of the object in each stage.
 
     The motion is measured from the position that the object has at the start of the stage.
     """

@@ -24,9 +24,9 @@ OBJECT_LOSS_DISTANCE_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure the motion of the cylinder while the load on the cylinder grows [mm].
+    """Measure the motion [mm] of the cylinder while the load on the cylinder grows.
 
-    Also measure the load at which the hand loses the cylinder [N]. The argument ``job`` contains
+    Also measure the load [N] at which the hand loses the cylinder. The argument ``job`` contains
     the name of the hand, a bool that is True if the hand reacts to slip, and the seed.
     """
     hand, has_slip_reaction, seed = job
@@ -67,7 +67,7 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
 def _motion_at_first_slip(
     run: Any, object_motion: np.ndarray, is_after_load_start: np.ndarray
 ) -> float | None:
-    """Return the motion of the object at the first slip event [mm], or None if there is no such event."""
+    """Return the motion [mm] of the object at the first slip event, or None if there is no slip event."""
     ticks = [k for k, event in run.events if event.name == "slip" and k >= is_after_load_start[0]]
     return (
         round(1e3 * float(object_motion[ticks[0] - is_after_load_start[0]]), 2) if ticks else None

@@ -167,7 +167,7 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
 def _filtered_tension(
     filter_design: FilterDesign, filter_inputs: FloatArray, controller_state: ControllerState
 ) -> list[float]:
-    """Return the estimated tension of each tendon at the time of the load-cell readings [N].
+    """Return the estimated tension [N] of each tendon at the time of the load-cell readings.
 
     The filter predicts the tension from the time of the readings to the present. The function
     undoes this prediction.

@@ -1,4 +1,4 @@
-"""A program of the controller whose steps start at fixed times, independently of contacts."""
+"""A controller program with steps that start at fixed times, independently of contacts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ class ScriptProgram:
         measurements: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
-        """Advance to the step of the script at the present time, see ``Program``."""
+        """Advance to the step that belongs to the present time, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):

@@ -44,13 +44,13 @@ MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
 SETTLING_TIME_S = 0.5
-"""Time after a motion in which the tracking error is allowed to settle [s]."""
+"""Time [s] for which the tracking error is allowed to settle after a motion."""
 RETURN_DURATION_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
 REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
 MOTION_EXTENSION_S = 0.05
-"""Time after the end of a motion in which tracking errors still count as errors of the motion [s]."""
+"""Time [s] for which tracking errors after the end of a motion still count as errors of the motion."""
 SETTLED_BAND_DEG = 1.0
 """Tracking error below which a motion counts as settled [deg]."""
 WEIGHT_CANDIDATES = tuple(

@@ -123,7 +123,7 @@ def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> A
 
 
 def json_mcap_writer(path: Path) -> LibraryWriter:
-    """Return a log writer for JSON messages in MCAP, which uses json.dumps and the package mcap."""
+    """Return a log writer that writes JSON messages into an MCAP log with json.dumps and the package mcap."""
     from mcap.reader import make_reader
     from mcap.writer import Writer as McapWriter
 

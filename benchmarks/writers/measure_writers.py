@@ -79,7 +79,7 @@ def measure_all_writers(
 
 
 def conversion_cpu_s(log_folder: Path) -> float:
-    """Return the mean time to record a tick that the controller has just computed [s].
+    """Return the mean time [s] to record a tick that the controller has just computed.
 
     For the measurement, the controller re-executes a run from its log. The outputs of a tick are
     recorded while they are still in the caches of the processor, as in a control loop. The run is
@@ -113,7 +113,7 @@ def _cpu_s(measured_work: Callable[[], object]) -> float:
 
 
 def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure the CPU time of handctl to pack and send records in the control loop.
+    """Measure the CPU time that handctl needs to pack and send records in the control loop.
 
     Also measure the CPU time of handctl's log writer, which runs in the same process here.
     """
@@ -149,7 +149,7 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
 def measure_library(
     log_path: Path, make_writer: Any, messages: list[LogMessage], tick_count: int
 ) -> dict[str, float]:
-    """Measure the CPU times in which a log writer writes all messages and reads all messages."""
+    """Measure the CPU times that a log writer needs to write all messages, and to read all messages."""
     writer = make_writer(log_path)
 
     def write() -> None:

@@ -49,7 +49,7 @@ NUMBER_CHANGE_BY_NAME = {
     "x1000": lambda x: 1000 * x,
     "/1000": lambda x: x / 1000,
 }
-"""Changes of a number whose result is possibly still within the limits of its key.
+"""Changes after which a number is possibly still within the limits of its key.
 
 If handctl refuses a changed number, the error line names the key of the number.
 """
