@@ -7,7 +7,8 @@ records the torques that the tendons apply to the joints in each simulation step
 repeats the motion with ``mj_step`` alone and the recorded torques. The final positions of both runs
 must be bit-identical. Several further runs are timed, and one further run is profiled. All runs are
 bit-identical. For each tick and each simulation step, the benchmark uses the shortest time over all
-runs. Other load on the processor core affects the shortest time least.
+runs. Of all measured times, the shortest time is least affected by other load on the processor
+core.
 """
 
 import argparse

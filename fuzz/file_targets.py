@@ -1,7 +1,7 @@
 """Fuzzing targets for the files that users write.
 
-The files are those for hand, task, trajectory, gains and calibration. The inputs of a fuzzing
-target are random bytes, or nearly valid files.
+A user can write files for a hand, a task, a trajectory, gains and a calibration. The inputs of a
+fuzzing target are random bytes, or nearly valid files.
 """
 
 import math

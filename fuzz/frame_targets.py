@@ -40,7 +40,7 @@ MAX_PAYLOAD_BYTES = 64
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield each frame of an input, together with the third byte of its header in the input.
+    """Yield each frame of an input, together with the control byte of its header in the input.
 
     Most of the frames have an identifier of the fuzzed node.
     """

@@ -3,8 +3,9 @@
 The time is simulated.
 
 ``fuzz.soak --calm`` measures the same growth in real time. The module ``fuzz.memory_growth`` runs
-the same control loop, controller and recorder on a simulated clock and a simulated bus. The
-simulated clock makes the measured growth independent of the load of the computer.
+the same control loop, controller and recorder as ``fuzz.soak``, but on a simulated clock and a
+simulated bus. The simulated clock makes the measured growth independent of the load of the
+computer.
 """
 
 import argparse

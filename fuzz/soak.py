@@ -142,7 +142,8 @@ class SoakTest:
     def start_controller(self) -> bool:
         """Start a controller.
 
-        Return True as soon as the controller has armed the hand and holds the fingers bent.
+        Return True as soon as the controller has armed the hand and holds the fingers bent. Return
+        False if the controller ends earlier, or after 60 s.
         """
         self.run_number += 1
         write_homed_calibration(Path("c.toml"), load_hand("jamia"))

@@ -87,7 +87,7 @@ def _detection_latencies(run: GraspRun, digit_names: tuple[str, ...]) -> list[fl
 
 
 def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
-    """Measure false contact events in free motion.
+    """Count the false contact events in free motion.
 
     The argument ``job`` contains the hand, the simulated time [s] and the seed. Return the number
     of false contact events, and the simulated time in which the digits moved [min].

@@ -166,7 +166,8 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
 def _range_text(values: list[float], decimals: int) -> str:
     """Format the range of values.
 
-    If the smallest and the largest value are equal after rounding, return this value once.
+    If the smallest and the largest value are equal after rounding, return only one of the two
+    values.
     """
     limit_texts = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(limit_texts))

@@ -1,4 +1,4 @@
-"""Measure whether both hands can grasp and hold each object.
+"""Measure whether the hands jamia and jamia11 can grasp and hold each object.
 
 During a grasp, the hand is turned three times, and the object is pushed.
 """

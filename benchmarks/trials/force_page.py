@@ -14,7 +14,7 @@ COLUMN_BY_FIGURE = {
 
 
 def page_section(result: dict[str, Any]) -> str:
-    """Convert a result of ``force.measure_force`` to the Markdown text of the section."""
+    """Convert a result of ``force_step.measure_force`` to the Markdown text of the section."""
     paragraphs = ["## A step of force", ""]
     paragraphs += [
         "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "

@@ -14,8 +14,8 @@ pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the no
 seeds of the measured trials differ from the seeds with which the LQR weights were selected.
 ``--tune`` repeats the selection of the LQR weights. With the selected LQR weights, the control
 loops have hardly any stability margin. A second comparison uses the best LQR weights with
-sufficient stability margins. Stability margins are sufficient from 6 dB and 45 degrees. Random
-hands with parameters close to the hand file must also have these margins.
+sufficient stability margins. Stability margins are sufficient if they are at least 6 dB and 45
+degrees. Random hands with parameters close to the hand file must also have these margins.
 """
 
 import argparse
@@ -229,7 +229,8 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     """Return the best LQR weights of a control law.
 
     If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
-    weights let the hand complete all motions, return the smallest weights.
+    pair of weights can be considered, return the first pair of ``WEIGHT_CANDIDATES``, or the last
+    pair if ``with_margins`` is True.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]

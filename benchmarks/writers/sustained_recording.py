@@ -112,7 +112,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
 def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
     """Convert the frames of a tick to frame records, and the telemetry of the tick to one array.
 
-    The control loop of a real run does the same.
+    The control loop of a real run converts frames and telemetry in the same way.
     """
     telemetry_slices = TelemetrySlices()
     at = 0

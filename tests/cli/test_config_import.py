@@ -1,8 +1,8 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
 The options ``--urdf`` and ``--mjcf`` import the links from a robot description. Some values are
-missing in the resulting hand file. handctl refuses the hand file until a user has added the missing
-values.
+missing in the resulting hand file. Until a user has added the missing values, handctl refuses the
+hand file.
 """
 
 import itertools

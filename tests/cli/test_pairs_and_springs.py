@@ -246,7 +246,7 @@ def test_all_missing_keys_of_the_sensor_node_come_at_once(
 def test_the_first_demo_grasps_in_every_direction_of_gravity(
     work_folder: Path, capsys: pytest.CaptureFixture[str], gravity: str, seed: int
 ) -> None:
-    """Reproduce two defects: the default gains oscillated, and the object fell beside the table."""
+    """Reproduce two defects: the hand oscillated with the default gains, and the object fell beside the table."""
     write_hand("0.0, 0.0, -9.81", gravity)
     check_grasp(capsys, seed)
 

@@ -24,7 +24,7 @@ LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
     """Return the outcome of a run that ended with the given faults.
 
-    The control loop of the returned run used a CPU time of ``cpu_s`` [s].
+    In the returned outcome, the CPU time of the control loop is ``cpu_s`` [s].
     """
     latched = [SimpleNamespace(id=row) for row in fault_ids]
     state = SimpleNamespace(latched_faults=latched, failure="fault" if fault_ids else "", k=1000)
