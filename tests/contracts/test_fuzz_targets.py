@@ -1,6 +1,7 @@
 """Test that fuzz tests start from valid inputs, which handctl accepts.
 
-A fuzz test changes a valid input. If handctl refuses the changed input, the reason is the change.
+A fuzz test changes a valid input. If handctl refuses the changed input, only the change can be the
+cause.
 """
 
 import functools

@@ -33,8 +33,7 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 ) -> None:
     """Reproduce a defect: the soak run wrote a hand file to the path of the calibration.
 
-    Because the calibration was no valid calibration, the soak run ended before it started a
-    controller.
+    A hand file is no valid calibration, so the soak run ended before it started a controller.
     """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])

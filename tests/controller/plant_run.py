@@ -45,7 +45,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, event_name: str) -> list[tuple[float, str]]:
-        """Return time [s] and hand part of each event with a given name. The hand part is, for example, a digit."""
+        """Return the time [s] and the affected part of the hand, such as a digit, for each event with a given name."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == event_name]
 
 

@@ -45,7 +45,10 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """The controller disables the hand: the saturated load cell can be the only sign of a drive that does not obey."""
+    """The controller disables the drives if a load cell stays saturated while the hand relaxes.
+
+    The saturated reading can be the only sign of a drive that does not obey.
+    """
     run = bench_with_saturated_cell(jamia)
     mode_start_s = run.state.mode_start_time
     run.run_until_mode(HandMode.CUT)

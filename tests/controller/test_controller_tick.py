@@ -124,7 +124,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run with a start time that is 2560 ticks later has the same modes, phases, actions and events.
+    """If a run starts 2560 ticks later, its modes, phases, actions and events stay the same.
 
     The later run is allowed to differ only in the SYNC counter and in the order in which registers
     are read.

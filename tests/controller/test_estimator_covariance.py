@@ -196,8 +196,8 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The errors of the filter are as large as its covariance predicts.
 
-    A run has a limited number of ticks, so its statistical uncertainty determines the permitted
-    difference.
+    The test permits a difference of 15 %, because the errors of a limited number of ticks have a
+    statistical uncertainty.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     filter_run = run_monte_carlo(

@@ -3,7 +3,7 @@
 The random targets stay within the range of each joint or tendon, reach both ends of this range, and
 change at any speed. In one test, a client streams tensions to one digit of each packaged hand with
 springs. In another test, a client streams angles to all digits of each packaged hand, so that
-digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
+digits touch each other. The warning T02a (a tendon is slack) does not make a test fail.
 """
 
 import os

@@ -99,7 +99,7 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 def test_over_tension_is_relaxed_four_times_as_fast(
     jamia_at_low_rate: HandModel, was_relaxing_before: bool
 ) -> None:
-    """If a load cell reads a tension above the limit, the hand relaxes four times as fast from this tick on.
+    """As soon as a load cell reads a tension above the limit, the hand relaxes four times as fast as usual.
 
     The hand also relaxes faster if it was already relaxing before the high load-cell reading.
     """

@@ -148,8 +148,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    A stream has a delay (``horizon_s``). The client knows the motion, so it sends the angle that
-    the hand should have after the delay of the stream.
+    The hand reaches a streamed target only after a delay (``horizon_s``). The client knows the
+    motion, so it sends the angle that the hand should have after the delay of the stream.
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -420,10 +420,9 @@ def test_a_target_survives_the_log(target_value: float) -> None:
 def test_integers_beyond_64_bits_do_not_end_the_run(
     jamia: HandModel, sequence_number: int, sent_ns: int
 ) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: a target with an integer of more than 64 bits in its text raised OverflowError in the tick.
 
-    If the text of a target contained an integer of more than 64 bits, the tick raised
-    OverflowError. After the exception, the controller disabled all motors.
+    After the exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()

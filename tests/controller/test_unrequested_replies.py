@@ -133,7 +133,10 @@ def frame_with_other_tension(cell_frame: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, open_requests, reply_variants, expected_faults
 ) -> None:
-    """A late reply to an older request is expected, so its bytes can differ from those of the newest reply."""
+    """If two requests of the controller are open, two different replies to these requests are no fault.
+
+    The controller compares only surplus replies with an expected reply.
+    """
     if open_requests == 2:
         active_bench.modify_frames_to_host = lambda frames: [
             frame for frame in frames if frame.can_id != 0x11
