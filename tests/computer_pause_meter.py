@@ -24,7 +24,7 @@ Even a busy core wakes a sleeping process within some milliseconds.
 class ComputerPauseMeter:
     """Detector of stalls: one sleeping process on each core reports if it wakes up late.
 
-    The sleeping processes run until :meth:`close`.
+    The sleeping processes run until :meth:`close` is called.
 
     Attributes:
         pids: process ids of the sleeping processes, one for each core.

@@ -194,7 +194,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the plugin that repeats tests, except in the virtual machine of the vcan tests.
+    """Register the plugin that repeats tests, except in the virtual machine that tests virtual CAN buses (vcan).
 
     The virtual machine has only one processor core, so its processes delay each other in every
     test.

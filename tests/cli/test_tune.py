@@ -177,7 +177,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
 def test_the_last_line_of_a_verification_is_its_verdict(
     capsys, failure_text, rollback, blocked, expected_reason
 ):
-    """Reproduce a defect: `tune verify` printed no result of the test if the run returned to the old gains."""
+    """Reproduce a defect: `tune verify` printed no verdict about the new gains if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)

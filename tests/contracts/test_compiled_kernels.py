@@ -91,7 +91,7 @@ def hash_of_frame_conversions() -> str:
     """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
     The structs contain frames of all kinds, lengths and flags. The structs also contain frames that
-    no CAN controller can send. The times of reception of the frames are positive and negative.
+    no CAN controller can send. Some reception times of the frames are negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):

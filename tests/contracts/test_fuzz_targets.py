@@ -1,7 +1,6 @@
 """Test that fuzz tests start from valid inputs, which handctl accepts.
 
-A fuzz test changes a valid input. If handctl refuses the changed input, only the change can be the
-cause.
+A fuzz test changes a valid input, so that only the change can cause a refusal of the input.
 """
 
 import functools

@@ -199,8 +199,8 @@ except MissingExtraError as error:
 def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
     """Without numba, Python interprets the kernels.
 
-    A client and a reader of logs also work with interpreted kernels. Only a controller needs
-    compiled kernels.
+    Clients, and programs that read logs, also work with interpreted kernels. Only a controller
+    needs compiled kernels.
     """
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
     ran = subprocess.run(

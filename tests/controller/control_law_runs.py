@@ -1,7 +1,7 @@
 """Run single ticks of the control law in tests.
 
-Other functions of this module read the state of the control law, or its commands, from the state of
-a controller.
+Further functions of this module read the state of the control law, or its commands, from the state
+of a controller.
 """
 
 from dataclasses import replace

@@ -28,8 +28,8 @@ from tests.controller.synthetic_states import (
 class FilterState(NamedTuple):
     """State of the tension filter between two ticks.
 
-    If no shape is stated, an attribute has one entry per tendon. Only ``started`` is a single
-    value.
+    If no shape is stated, an attribute has one entry per tendon. The attribute ``started`` is a
+    single value.
 
     Attributes:
         filter_states: (7 * tendons,) the seven filter states of each tendon, tendon after tendon.

@@ -154,7 +154,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
 
 
 def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
-    """Return the state of an active hand that contains a given estimate."""
+    """Write a given estimate into the state of an active hand, and return this state."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:

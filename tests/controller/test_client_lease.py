@@ -25,7 +25,7 @@ LEASE_S = 0.5
 
 
 def lease_events(client: StreamClient) -> list[str]:
-    """Return the texts of all events about the lease of a client that the controller has emitted so far."""
+    """Return the texts of all events so far that report on the lease of a client."""
     return [
         event.text for out in client.tick_outputs for event in out.events if event.name == "lease"
     ]

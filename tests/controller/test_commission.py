@@ -253,7 +253,7 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """In this test, the tension of a tendon falls slowly after the pull of this tendon, by 2 N/s.
+    """In this test, the tension of a tendon falls slowly, at 2 N/s, after the pull of this tendon.
 
     Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
     During the pull of the next tendon, the load cell of the first tendon reads 0 N.
@@ -355,7 +355,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 ) -> None:
     """The message about a refused tare names the load cell that is nearest to an end of its range.
 
-    Another load cell can have a larger reading.
+    The named load cell is not always the load cell with the largest reading.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:

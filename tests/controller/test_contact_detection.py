@@ -203,8 +203,8 @@ def closing_hand(
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """Near the end of a free motion, the force estimate at the thumb's tip is -0.35 N.
 
-    In contact, the force estimate at the thumb's tip rises only to 0.2 N. For this reason, the
-    contact detection uses the increase of the force estimate.
+    In contact, the force estimate at the thumb's tip rises only to 0.2 N. The contact detection
+    uses the increase of the force estimate, because the estimate without contact can be negative.
     """
     for mean_force, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=mean_force, drift=np.nan)

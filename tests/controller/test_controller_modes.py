@@ -349,7 +349,8 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
 ) -> None:
     """Reproduce a defect: after an ordinary stop, a run ended although a motor still pulled.
 
-    The run ended as soon as all drives reported that they were disabled.
+    The run ended as soon as all drives reported that they were disabled, and nothing checked
+    whether a motor still pulled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)

@@ -369,8 +369,8 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
     """In this test, friction holds an opening digit just before it reaches its mechanical stop.
 
-    If the filter wrongly assumed that the digit is at the stop, the estimated angle would get
-    another error each time the digit opens.
+    If the filter wrongly assumed that the digit is at the stop, the error of the estimated angle
+    would grow each time the digit opens.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5

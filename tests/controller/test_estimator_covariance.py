@@ -100,7 +100,7 @@ def run_monte_carlo(
     seed: int,
     missing_measurements: MissingMeasurements | None = None,
 ) -> FilterRun:
-    """Draw a random true trajectory from the filter's model in one tendon regime.
+    """Draw a random true trajectory from the filter's model in one regime: free, held or slack.
 
     Then run the filter with measurements of this trajectory.
 
@@ -196,8 +196,8 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The errors of the filter are as large as its covariance predicts.
 
-    The test permits a difference of 15 %, because the errors of a limited number of ticks have a
-    statistical uncertainty.
+    Actual and predicted errors are allowed to differ by 15 %, because the statistics of a limited
+    number of ticks are uncertain.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     filter_run = run_monte_carlo(

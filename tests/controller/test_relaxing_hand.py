@@ -86,7 +86,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(jamia_at_low_rate: Ha
 
 
 def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> float:
-    """Return the fastest fall of the setpoint of a tendon while the hand relaxes [N/s]."""
+    """Return the highest rate [N/s] at which the setpoint of a tendon falls while the hand relaxes."""
     goals = [
         out.telemetry.tension_goal[tendon_index]
         for _, _, out in bench.tick_history

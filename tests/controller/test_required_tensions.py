@@ -53,7 +53,7 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
 def test_the_load_of_each_digit_is_limited_separately(
     hand_name: str, request: pytest.FixtureRequest
 ) -> None:
-    """In this test, the required tensions of some digits reach a bound, but other digits stay within the bounds.
+    """In this test, the required tensions reach a bound in some digits, and stay within the bounds in other digits.
 
     If the required tension of one digit reaches the bound, the tensions of other digits do not
     change.

@@ -36,7 +36,7 @@ SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
 
 
 def sine_angle(t: Any) -> Any:
-    """Return the angle of the test motion at time t [deg]. The test motion is a sine of 1 Hz."""
+    """Return the angle [deg] of the test motion at time t [s]. The test motion is a sine of 1 Hz."""
     return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t)
 
 

@@ -94,7 +94,7 @@ class RunWithoutCells:
 
     The values of a tick are the phase of the task, and three values for each tendon (N,) [N]. The
     three values are the estimated tension, its standard deviation, and the true tension. The record
-    also contains the last height of the object.
+    also contains the height of the object at the end of the run.
     """
 
     phase_name: list[str] = field(default_factory=list)
