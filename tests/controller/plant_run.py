@@ -64,7 +64,7 @@ def run_on_plant(
         hand_name: name of a packaged hand.
         program: the program to run.
         scene: text of a scene file.
-        scene_folder: folder in which the scene file is written.
+        scene_folder: folder into which the function writes the scene file.
         duration_s: simulated time [s]. The run ends earlier if the object is lost.
         seed: seed of the simulator.
         plant_factors: factors that multiply parameters of the simulated hand. The controller does

@@ -30,7 +30,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N:
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
-    """Return a bench whose hand has just started to relax.
+    """Return a test bench whose hand has just started to relax.
 
     One load cell reads the upper end of its range.
     """

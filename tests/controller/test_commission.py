@@ -303,7 +303,7 @@ def jamia_at_200_hz() -> HandModel:
 
 @pytest.fixture
 def commissioning_bench(jamia_at_200_hz: HandModel) -> ControllerBench:
-    """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
+    """Return a test bench whose controller runs the commissioning program on a hand with scripted motors."""
     return make_controller_bench(jamia_at_200_hz, CommissionProgram())
 
 

@@ -22,7 +22,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(hand_name: str) -> ControllerBench:
-    """Return a bench whose controller has executed a whole run.
+    """Return a test bench whose controller has executed a whole run.
 
     In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost
     and a fault occurred.

@@ -106,9 +106,9 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 
 
 def bench_without_time_stamps() -> ControllerBench:
-    """Return a bench whose hand is active.
+    """Return a test bench whose hand is active.
 
-    On the bus of this bench, the time stamp of a frame is the time at which the host reads the
+    On the bus of this test bench, the time stamp of a frame is the time at which the host reads the
     frame.
     """
     run = make_controller_bench(
