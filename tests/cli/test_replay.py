@@ -1,4 +1,4 @@
-"""Test the commands that use recorded runs, with command lines that a user would type."""
+"""Test the commands that use recorded runs. The tests use command lines that a user would type."""
 
 import json
 import re

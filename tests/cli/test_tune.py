@@ -326,7 +326,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result of an identification of a tendon's parameters.
+    """Return an invented result, as ``identify`` would return it for one tendon.
 
     ``blocked`` is the text about a blocked digit. ``met`` is the text about a contact of the digit
     while the identification moves the digit to and fro.

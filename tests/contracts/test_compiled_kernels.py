@@ -358,8 +358,7 @@ def test_without_a_writable_cache_each_process_compiles(
 class KernelSources:
     """Modules of handctl whose source text can change the machine code of a kernel.
 
-    These modules define the names that the kernel uses, and the names on which the used names
-    depend.
+    The modules define every name on which the kernel depends, directly or through other names.
     """
 
     def __init__(self) -> None:

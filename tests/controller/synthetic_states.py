@@ -326,7 +326,7 @@ def empty_readings(model: HandModel) -> SensorReadings:
 def detect_contacts(
     model: HandModel, state: ControllerState, estimate: SyntheticEstimate
 ) -> SyntheticEstimate:
-    """Detect contacts, write the contacts into the state, and return the estimate with the contact forces.
+    """Detect contacts, write the contacts into the state, and return the estimate including the contact forces.
 
     The field ``closing`` of the given state must mark the digits that close.
 

@@ -102,7 +102,7 @@ def run_monte_carlo(
 ) -> FilterRun:
     """Draw a random true trajectory from the filter's model in one regime: free, held or slack.
 
-    Then run the filter with measurements of this trajectory.
+    Simulate measurements of the trajectory, and run the filter with these measurements.
 
     ``missing_measurements`` is a function that returns a mask (2, tendons) for each tick. The first
     row of the mask marks missing encoder readings, and the second row marks missing load-cell

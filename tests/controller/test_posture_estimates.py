@@ -282,8 +282,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
     The filter weights the estimated angle and the encoder reading of this joint according to their
-    covariances. The filter corrects the angles of the other joints through their correlation with
-    the angle of the joint with an encoder.
+    covariances. The filter also corrects the angles of joints without an encoder, because their
+    errors are correlated with the error of the measured joint.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ

@@ -1,4 +1,4 @@
-"""Test that no request and no fault can raise a tension while a hand relaxes."""
+"""Test that neither a request nor a fault can raise a tension while a hand relaxes."""
 
 import numpy as np
 import pytest

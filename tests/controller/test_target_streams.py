@@ -464,9 +464,9 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time. Two targets in the same late tick therefore have equal times. Earlier defect: the
-    controller refused the second target, because the time of the second target was not later than
-    the time of the first.
+    time. Two targets that are sent after the scheduled time of the same tick therefore count as
+    sent at the same time. Earlier defect: the controller refused the second target, because the
+    time of the second target was not later than the time of the first.
     """
     with live_client(jamia) as client:
         client.open_stream()
