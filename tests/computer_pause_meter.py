@@ -1,9 +1,9 @@
 """Detect stalls of the machine.
 
-A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
-controller rightly ends its run. In this case, a test in real time fails because of the stall, and
-not because of a defect in the code. To detect stalls independently of the tested processes, one
-process on each core sleeps again and again, and measures how late it wakes up.
+A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls during a
+test in real time, the controller rightly ends its run. A test that fails because of a stall does
+not show a defect in the code. To detect stalls independently of the tested processes, one process
+on each core sleeps again and again, and measures how late it wakes up.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ Even a busy core wakes a sleeping process within some milliseconds.
 class ComputerPauseMeter:
     """Detector of stalls: one sleeping process on each core reports if it wakes up late.
 
-    The sleeping processes run until :meth:`close`.
+    The sleeping processes run until :meth:`close` is called.
 
     Attributes:
         pids: process ids of the sleeping processes, one for each core.

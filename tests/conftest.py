@@ -82,7 +82,7 @@ VCAN_TESTS_FOLDER = Path(__file__).parent / "vcan"
 
 
 def has_real_clock_tests(path: Path) -> bool:
-    """Return True if a test file contains a marker of tests in real time, or is a vcan test."""
+    """Return True if a test file contains a marker of tests in real time, or tests virtual CAN buses (vcan)."""
     text = path.read_text(encoding="utf-8")
     return path.is_relative_to(VCAN_TESTS_FOLDER) or any(
         mark in text for mark in REAL_CLOCK_MARKERS
@@ -107,10 +107,10 @@ class RepeatAfterStallPlugin:
     The plugin repeats a test only if the machine stalled during the test. A test has at most three
     tries.
 
-    In some tests, simulated time runs slower than real time. In a repetition of such a test,
-    simulated time runs even slower, by the factor of the fixture ``time_scale_of_attempt``. The slower
-    simulated time runs, the less effect a stall of the machine has. A defect has the same effect at
-    any speed.
+    In some tests, simulated time runs slower than real time. If a test with slowed simulated time
+    is repeated, its simulated time runs even slower, by the factor of the fixture
+    ``time_scale_of_attempt``. The slower simulated time runs, the less effect a stall of the
+    machine has. A defect in the code has the same effect at any speed of simulated time.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -194,7 +194,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the plugin that repeats tests, except in the virtual machine of the vcan tests.
+    """Register the plugin that repeats tests, except in the virtual machine that tests virtual CAN buses (vcan).
 
     The virtual machine has only one processor core, so its processes delay each other in every
     test.

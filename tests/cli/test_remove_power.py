@@ -1,4 +1,4 @@
-"""Test commands after a run in which a drive does not confirm that it is disabled.
+"""Test the exit code of commands if a drive does not confirm that it is disabled.
 
 If a drive does not confirm that it is disabled, every command exits with code 71, even if other
 errors occurred.

@@ -1,4 +1,4 @@
-"""Test the commands that use recorded runs, with command lines that a user would type."""
+"""Test the commands that use recorded runs. The tests use command lines that a user would type."""
 
 import json
 import re
@@ -70,11 +70,10 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
     log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: the comparison of recorded and repeated ticks wrongly included the time after a fault.
 
     The ticks of a log were executed again with other gains. The re-execution ended with a fault,
-    and the hand relaxed. The comparison of recorded and repeated ticks wrongly included the time
-    after the fault.
+    and the hand relaxed.
     """
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")

@@ -259,8 +259,8 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 motor reports a torque of 54 N m as its full scale.
 
-    A hand file permits a torque of at most 50 N m. ``scan`` prints a part of a hand file. This part
-    contains the limit 50 N m, and a comment with the torque that the drive reports.
+    A hand file permits a torque of at most 50 N m. For a DM-J8009 motor, ``scan`` prints the torque
+    limit 50 N m, and adds a comment with the 54 N m that the drive reports.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
@@ -300,7 +300,7 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Send every request frame of a scan to drives that are enabled with zero torque.
+    """Send every request frame of a scan to drives, two of which are enabled with zero torque.
 
     No enabled drive makes torque after it has received all request frames of a scan.
     """

@@ -25,7 +25,7 @@ def tick_records_of(run_log: RunLog) -> list[bytes]:
 
 
 def write_log(log_path: Path, source_log: RunLog, tick_records: Sequence[bytes]) -> str:
-    """Write a complete log with given ticks and the header of ``source_log``, and return the path of this log."""
+    """Write a complete log with given ticks and the header of ``source_log``, and return the path of the new log."""
     writer = LogWriter(log_path, source_log.header, lambda *arguments: None, 1)
     for tick in tick_records:
         writer.add_tick(tick)

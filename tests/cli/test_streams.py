@@ -1,6 +1,6 @@
 """Test commands with a faulty standard stream, and commands that get a signal of the operating system.
 
-A faulty standard stream is a closed pipe, is on a full disk, or is missing.
+A standard stream is faulty if it is a closed pipe, writes to a full disk, or is missing.
 """
 
 import json

@@ -88,10 +88,9 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
 def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     work_folder, capsys, monkeypatch, command_words
 ):
-    """Reproduce a defect.
+    """Reproduce a defect: ``tune design`` gave no reason why the old gains had no stability margins.
 
-    The table of ``tune design`` showed "none" for both stability margins of the old gains. No line
-    of the output gave the reason.
+    The table of ``tune design`` showed "none" for both stability margins of the old gains.
     """
     oscillation_message = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {oscillation_message}"}
@@ -178,7 +177,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
 def test_the_last_line_of_a_verification_is_its_verdict(
     capsys, failure_text, rollback, blocked, expected_reason
 ):
-    """Reproduce a defect: `tune verify` printed no result of the test if the run returned to the old gains."""
+    """Reproduce a defect: `tune verify` printed no verdict about the new gains if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
@@ -327,10 +326,10 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result, as if the parameters of a tendon were identified.
+    """Return an invented result, as ``identify`` would return it for one tendon.
 
-    ``blocked`` is the text about a blocked digit, and ``met`` is the text about a contact of the
-    digit during its sweeps.
+    ``blocked`` is the text about a blocked digit. ``met`` is the text about a contact of the digit
+    while the identification moves the digit to and fro.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -664,7 +663,7 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
 ):
     """Each command of this test was proposed in the output of the previous command.
 
-    In the proposed commands, the test changes only the number of trials of the search for gains.
+    The test adds a few options to the proposed commands, for example ``--trials 2``.
     """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

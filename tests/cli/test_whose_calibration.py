@@ -34,7 +34,7 @@ MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class CalibratedBench:
-    """A simulated hand in virtual time, and the plan for runs in which a controller controls this hand."""
+    """A simulated hand in virtual time, and the settings (``plan``) of all runs with this hand."""
 
     def __init__(self, work_folder, hand, serials=()):
         import argparse
@@ -162,10 +162,9 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
     ("hours", "reason"), [(-1, ""), (-25, "older than a day"), (1, "from the future")]
 )
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
-    """Reproduce a defect.
+    """Reproduce a defect: no command refused a calibration with a date in the future.
 
-    If the clock of a computer is wrong, the date of a calibration can be in the future. No command
-    refused such a calibration.
+    If the clock of a computer is wrong, the date of a calibration can be in the future.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

@@ -125,10 +125,9 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 
 
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
-    """Return the motors whose drives close a position loop.
+    """Select motors whose drives will close a position loop, and return the names of these motors.
 
-    The function selects about half of the possible motors at random. A motor can be selected if its
-    digit has no antagonistic tendons.
+    The function selects at random about half of the motors in digits without antagonistic tendons.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -141,9 +140,10 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield a list for each kind of digit.
+    """Yield the moment arms of each kind of digit, as a list with one dictionary for each tendon.
 
-    The list contains a dictionary for each tendon: from each joint to the moment arm of the tendon.
+    A dictionary contains the moment arm of the tendon at each joint that the tendon moves. The keys
+    are the names of the joints.
     """
     first_radius = float(radii[0])
     yield [dict.fromkeys(joints, first_radius)]

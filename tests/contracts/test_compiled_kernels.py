@@ -91,7 +91,7 @@ def hash_of_frame_conversions() -> str:
     """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
     The structs contain frames of all kinds, lengths and flags. The structs also contain frames that
-    no CAN controller can send. The times of reception of the frames are positive and negative.
+    no CAN controller can send. Some reception times of the frames are negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):
@@ -158,7 +158,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 
 
 def hash_of_motion_segments() -> str:
-    """Start 200 random motions to streamed targets, and return one hash of all resulting state blocks."""
+    """Start 200 random motions to streamed targets, and return one hash of all resulting controller states."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
@@ -196,10 +196,10 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """A kernel that is already compiled raises an exception if one of its arguments has another array type.
+    """A compiled kernel raises an exception if it is called with an array type for which it was not compiled.
 
-    Without this exception, a call with a new array type would compile the kernel in the middle of a
-    tick. The compilation would take a second.
+    Without this exception, a call with a new array type would start a compilation of about 1 s in
+    the middle of a tick.
     """
 
     @kernel("vector", "real")
@@ -214,9 +214,9 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """A kernel refuses a non-contiguous array,
+    """A kernel refuses a non-contiguous array.
 
-    because the kernel would also read the gaps between the elements.
+    In a non-contiguous array, the kernel would also read the memory between the elements.
     """
 
     @njit
@@ -261,9 +261,9 @@ print(bool(misses(block, layout.offsets)), len(before), folder is not None)
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Return the path of a copy of the package handctl that also contains the kernel ``PROBE_MODULE_TEXT``.
+    """Copy the package handctl, add the module ``PROBE_MODULE_TEXT`` to the copy, and return the path of the copy.
 
-    The kernel ``PROBE_MODULE_TEXT`` detects a node that is silent in every second tick.
+    The kernel in the added module detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -358,8 +358,7 @@ def test_without_a_writable_cache_each_process_compiles(
 class KernelSources:
     """Modules of handctl whose source text can change the machine code of a kernel.
 
-    These modules define the names that the kernel uses, and the names on which the used names
-    depend.
+    The modules define every name on which the kernel depends, directly or through other names.
     """
 
     def __init__(self) -> None:
@@ -369,7 +368,7 @@ class KernelSources:
         self._trees: dict[str, ast.Module] = {}
 
     def add_modules_of_name(self, module_name: str, name: str) -> None:
-        """Add the module that defines a name, and the modules that define the names in the definition."""
+        """Add to ``modules`` the module that defines a name, and the modules of all names in this definition."""
         if (module_name, name) in self._seen:
             return
         self._seen.add((module_name, name))
@@ -385,9 +384,9 @@ class KernelSources:
                         self.add_modules_of_name(module_name, used.id)
 
     def _follow_import(self, module_name: str, name: str) -> None:
-        """Add all modules that define an imported name.
+        """Add to ``modules`` all modules that define an imported name.
 
-        If the imported name is a module, add all names of this module.
+        If the imported name is a module, add the modules of all names that this module defines.
         """
         inner = f"{module_name}.{name}"
         if inner not in sys.modules:

@@ -1,6 +1,7 @@
-"""Test that the fault catalogue, the fault table, the campaign, the tests and the documents agree.
+"""Test that the fault catalogue, the fault table, the fault campaign, the tests and the documents agree.
 
-The catalogue covers the communication faults of AUTOSAR and the failure kinds of PX4.
+The fault campaign simulates every fault of the catalogue. The catalogue covers the communication
+faults of AUTOSAR and the failure kinds of PX4.
 """
 
 from pathlib import Path

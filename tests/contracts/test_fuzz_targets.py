@@ -1,6 +1,6 @@
 """Test that fuzz tests start from valid inputs, which handctl accepts.
 
-A fuzz test changes a valid input. If handctl refuses the changed input, the reason is the change.
+A fuzz test changes a valid input, so that only the change can cause a refusal of the input.
 """
 
 import functools

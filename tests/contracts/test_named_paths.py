@@ -22,7 +22,7 @@ HISTORY_DOCUMENT = "CHANGELOG.md"
 
 
 def missing_paths(document_text: str) -> list[str]:
-    """Return the paths in a text that name Python files, but at which no file exists."""
+    """Return the paths of Python files that a text names, but that do not exist."""
     paths = sorted(set(PATH_PATTERN.findall(document_text)))
     checked_paths = [p for p in paths if p.endswith(".py") and not PLACEHOLDER_PATTERN.search(p)]
     return [path for path in checked_paths if not any(REPOSITORY.glob(path))]

@@ -197,7 +197,11 @@ except MissingExtraError as error:
 
 
 def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
-    """Without numba, Python interprets kernels. Only a controller requires compiled kernels."""
+    """Without numba, Python interprets the kernels.
+
+    Clients, and programs that read logs, also work with interpreted kernels. Only a controller
+    needs compiled kernels.
+    """
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
     ran = subprocess.run(
         [sys.executable, "-c", HIDE_EXTRAS_SCRIPT + CLIENT_SCRIPT, str(log)],

@@ -33,8 +33,7 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 ) -> None:
     """Reproduce a defect: the soak run wrote a hand file to the path of the calibration.
 
-    Because the calibration was no valid calibration, the soak run ended before it started a
-    controller.
+    A hand file is no valid calibration, so the soak run ended before it started a controller.
     """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])
@@ -62,9 +61,9 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
 
 
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
-    """Reproduce a defect: the memory of a recorder was 1.5 MiB smaller in a part of the samples.
+    """Reproduce a defect: the soak run reported a memory growth of 3 MiB per hour, although no memory leaked.
 
-    The soak run reported this variation as a memory growth of 3 MiB per hour.
+    In some of the samples, the memory of a recorder was 1.5 MiB smaller than in the other samples.
     """
     samples_with_drops = memory_samples(2400.0)
     low = [

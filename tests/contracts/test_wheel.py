@@ -94,7 +94,7 @@ class WheelEnvironment:
         )
 
     def installed_megabytes(self) -> float:
-        """Return the size of all packages in the environment, except pip and setuptools [MB]."""
+        """Return the total size [MB] of all packages in the environment, except pip and setuptools."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
         packaging_tools = {"pip", "setuptools", "pkg_resources"}

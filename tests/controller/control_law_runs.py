@@ -1,7 +1,7 @@
 """Run single ticks of the control law in tests.
 
-Functions of this module also read two things from a controller's state: the state and the commands
-of the control law.
+Further functions of this module read the state of the control law, or its commands, from the state
+of a controller.
 """
 
 from dataclasses import replace
@@ -69,7 +69,7 @@ class ControlLawState(NamedTuple):
     def initial_state_at_tensions(tension: np.ndarray) -> "ControlLawState":
         """Return the state that the control law has before the first command.
 
-        The setpoint of each tendon is its element of ``tension`` [N].
+        The array ``tension`` (tendons,) contains the setpoint of each tendon [N].
         """
         return ControlLawState(tension, *np.zeros((4, len(tension))))
 

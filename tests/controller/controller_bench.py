@@ -147,8 +147,8 @@ def _pack_channels(
 ) -> list[Frame]:
     """Pack load-cell channels into frames.
 
-    The lowest 4 bits of each frame are a counter. Up to five load-cell channels of 12 bits follow
-    the counter.
+    The lowest 4 bits of each frame contain a counter. The higher bits contain up to five load-cell
+    channels with 12 bits each.
     """
     frames = []
     for group, start in enumerate(range(0, len(channel_readings), 5)):

@@ -26,7 +26,10 @@ from tests.controller.synthetic_states import (
 
 
 class FilterState(NamedTuple):
-    """State of the tension filter between two ticks. Each attribute has one entry per tendon.
+    """State of the tension filter between two ticks.
+
+    If no shape is stated, an attribute has one entry per tendon. The attribute ``started`` is a
+    single value.
 
     Attributes:
         filter_states: (7 * tendons,) the seven filter states of each tendon, tendon after tendon.
@@ -62,7 +65,7 @@ class FilterState(NamedTuple):
     def tendons_in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
         """Return a filter state with given tendon states (7 * tendons,).
 
-        All tendons are in one regime.
+        All tendons are in the same regime: free, held or slack.
         """
         n = len(x) // STATE_COUNT
         zero_vector = np.zeros(n)
@@ -104,7 +107,7 @@ The attributes for the seven filter states and for the covariance have no entry 
 
 
 def write_filter_state(state: ControllerState, filter_state: FilterState) -> None:
-    """Write a filter state into the block of a controller's state."""
+    """Write a filter state into a controller's state."""
     state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = (
         filter_state.filter_states.reshape(-1, STATE_COUNT).T
     )
@@ -226,9 +229,9 @@ def noiseless_readings(
 
 
 def state_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
-    """Return a filter state in which every tendon has the same regime.
+    """Return a filter state in which every tendon has the same regime: free, held or slack.
 
-    In the returned filter state, no digit rests at the mechanical stop of its open end.
+    In the returned filter state, no digit rests at the mechanical stop that limits its opening.
     """
     return FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
@@ -284,9 +287,10 @@ def state_with_filter(model: HandModel, filter_state: FilterState) -> Controller
 def design_arrays_by_tendon(
     model: HandModel, regime_by_tendon: tuple[int, ...], array_name: str
 ) -> np.ndarray:
-    """Return the array ``array_name`` of the filter design for each tendon, stacked along a new first axis.
+    """Return one array of each tendon's filter design, stacked along a new first axis.
 
-    The filter design of a tendon belongs to the regime of the tendon in ``regime_by_tendon``.
+    ``array_name`` is the name of the array. A tendon has one filter design for each regime: free,
+    held or slack. ``regime_by_tendon`` contains the regime of each tendon.
     """
     return np.array(
         [

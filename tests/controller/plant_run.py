@@ -45,7 +45,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, event_name: str) -> list[tuple[float, str]]:
-        """Return time [s] and hand part of each event with a given name. The hand part is, for example, a digit."""
+        """Return the time [s] and the affected part of the hand, such as a digit, for each event with a given name."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == event_name]
 
 
@@ -64,7 +64,7 @@ def run_on_plant(
         hand_name: name of a packaged hand.
         program: the program to run.
         scene: text of a scene file.
-        scene_folder: folder in which the scene file is written.
+        scene_folder: folder into which the function writes the scene file.
         duration_s: simulated time [s]. The run ends earlier if the object is lost.
         seed: seed of the simulator.
         plant_factors: factors that multiply parameters of the simulated hand. The controller does

@@ -83,7 +83,7 @@ class SyntheticEstimate(NamedTuple):
     def largest_grip_opening(
         self, closing_sign: np.ndarray, held_tension: np.ndarray
     ) -> tuple[int, float]:
-        """Find the tendon with the largest grip opening, and return its index and its grip opening."""
+        """Find the tendon along which a holding digit has opened furthest, and return its index and the opening [m]."""
         openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
         worst_tendon = int(openings.argmax())
         return worst_tendon, float(openings[worst_tendon])
@@ -154,7 +154,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
 
 
 def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
-    """Return the state of an active hand that contains a given estimate."""
+    """Write a given estimate into the state of an active hand, and return this state."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:
@@ -174,7 +174,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class StaticTendonForces(NamedTuple):
-    """Known forces along each tendon in the model of the filter [N], as arrays (tendons,).
+    """Forces along each tendon [N] that follow from the model of the filter, as arrays (tendons,).
 
     Attributes:
         resistance: tension that balances springs and gravity.
@@ -326,9 +326,9 @@ def empty_readings(model: HandModel) -> SensorReadings:
 def detect_contacts(
     model: HandModel, state: ControllerState, estimate: SyntheticEstimate
 ) -> SyntheticEstimate:
-    """Detect contacts, write the contacts into the state, and return the estimate with the contact forces.
+    """Detect contacts, write the contacts into the state, and return the estimate including the contact forces.
 
-    The function also marks each closing digit in the state with a flag.
+    The field ``closing`` of the given state must mark the digits that close.
 
     Args:
         model: model of the hand.

@@ -1,7 +1,7 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-In hands without return springs, a digit with n joints has n + 1 tendons. The exception is the thumb
-of one test hand, which has 2 n tendons.
+In the hands of this file, a digit with n joints has n + 1 tendons. Only one hand has a thumb with n
+joints and 2 n tendons.
 """
 
 import os

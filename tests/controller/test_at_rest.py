@@ -14,10 +14,9 @@ from tests.controller.synthetic_states import active_state, constant_args_of
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: the controller reported a resting motor as stuck after an object had touched its digit.
 
-    A digit rested after a move to 40 deg, and then an object touched the digit. The contact moved
-    the filtered goal, so the controller reported the resting motor as stuck.
+    The digit rested after a move to 40 deg. The contact moved the filtered goal, but not the motor.
     """
     state, period = active_state(jamia), jamia.period
     far_angles = np.full(len(jamia.hand.joints), math.radians(40.0))

@@ -30,7 +30,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N:
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
-    """Return a bench whose hand has just started to relax.
+    """Return a test bench whose hand has just started to relax.
 
     One load cell reads the upper end of its range.
     """
@@ -45,7 +45,10 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """The controller disables the hand: the saturated load cell can be the only sign of a drive that does not obey."""
+    """The controller disables the drives if a load cell stays saturated while the hand relaxes.
+
+    The saturated reading can be the only sign of a drive that does not obey.
+    """
     run = bench_with_saturated_cell(jamia)
     mode_start_s = run.state.mode_start_time
     run.run_until_mode(HandMode.CUT)

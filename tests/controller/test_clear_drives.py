@@ -19,7 +19,7 @@ CLEAR_REQUEST = '{"do": "clear"}'
 
 @pytest.fixture
 def hand_after_crash() -> ControllerBench:
-    """Return a bench with a hand that was armed when an earlier controller of the hand died."""
+    """Return a test bench with a hand that was armed when an earlier controller of the hand died."""
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )

@@ -25,7 +25,7 @@ LEASE_S = 0.5
 
 
 def lease_events(client: StreamClient) -> list[str]:
-    """Return the texts of all events about the lease of a client that the controller has emitted so far."""
+    """Return the texts of all events so far that report on the lease of a client."""
     return [
         event.text for out in client.tick_outputs for event in out.events if event.name == "lease"
     ]
@@ -41,7 +41,7 @@ def run_with_client_heartbeats(
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
-    """Reproduce a defect: when the client was silent after a hold, the hand continued to pull without a time limit."""
+    """Reproduce a defect: if a client became silent after a hold command, the hand pulled without a time limit."""
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         run_with_client_heartbeats(client, 3.0 * LEASE_S)

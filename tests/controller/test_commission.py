@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms.
-    Commissioning accepts crosstalk of load cells of at most 0.9 N.
+    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms. The
+    commissioning accepts at most 0.9 N of crosstalk between load cells.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -253,7 +253,7 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """In this test, the tension of a tendon falls slowly after the pull of this tendon, by 2 N/s.
+    """In this test, the tension of a tendon falls slowly, at 2 N/s, after the pull of this tendon.
 
     Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
     During the pull of the next tendon, the load cell of the first tendon reads 0 N.
@@ -274,10 +274,10 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """A load cell must not fall below its tare while another tendon is pulled.
+    """A load-cell reading must not fall below the tare while another tendon is pulled.
 
-    The exception is a tendon that relaxes after its own pull: its load-cell reading can fall by the
-    remaining tension.
+    While a tendon relaxes after its own pull, the reading of its load cell is allowed to fall by
+    the remaining tension.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -303,7 +303,7 @@ def jamia_at_200_hz() -> HandModel:
 
 @pytest.fixture
 def commissioning_bench(jamia_at_200_hz: HandModel) -> ControllerBench:
-    """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
+    """Return a test bench whose controller runs the commissioning program on a hand with scripted motors."""
     return make_controller_bench(jamia_at_200_hz, CommissionProgram())
 
 
@@ -353,7 +353,10 @@ def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     model: HandModel, tare_N: float, is_refused: bool
 ) -> None:
-    """The message names the load cell that is nearest to an end of its range, even if another reading is larger."""
+    """The message about a refused tare names the load cell that is nearest to an end of its range.
+
+    The named load cell is not always the load cell with the largest reading.
+    """
 
     def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N
@@ -377,7 +380,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 def progress_after_tare(
     model: HandModel, tensions_during_pull: TensionsDuringPull
 ) -> ProgramProgress:
-    """Return the progress of the commissioning program just after it has tared the load cells."""
+    """Run the commissioning program until it has tared the load cells, and return the state of the program."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial_progress(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=tensions_during_pull(-1) + CELL_BIAS_N)

@@ -162,10 +162,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
-    """Reproduce a defect.
-
-    While a load cell was silent, the integral part of the tension loop grew without limit.
-    """
+    """Reproduce a defect: the integral part of the tension loop grew without limit while a load cell was silent."""
     law = ControlLawState.initial_state(model.tendon_count)
     silent_estimate = estimate_from_states(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
@@ -403,7 +400,7 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, goal_kind
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """In this test, the control law has no feedforward of digit torque, inertia and friction.
+    """In this test, the feedforward of digit torque, inertia and friction is switched off.
 
     The tension feedback is also switched off, so that the control law commands only the feedback of
     angle and rate.

@@ -70,7 +70,9 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """The controller is also allowed to detect a contact with the wall at a force below 1 N.
+    """The controller detects a contact with a heavy wall within 20 ms after the contact force has reached 1 N.
+
+    The controller is also allowed to detect the contact earlier, at a force below 1 N.
 
     The benchmark ``benchmarks.grasp`` measures contacts with other closing speeds and other
     positions of the object.
@@ -170,10 +172,10 @@ def closing_hand(
     closing_digit_count: int = 1,
     **earlier_fields: float,
 ) -> ControllerState:
-    """Return the state of a hand whose first digits close, with the given force at each tip [N].
+    """Return the state of a hand with closing digits, and with a force of ``tip_force_N`` [N] at each tip.
 
-    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets fields of the state
-    whose values come from earlier ticks in a real run.
+    The first ``closing_digit_count`` digits close. ``earlier_fields`` contains values of state
+    fields that earlier ticks would have written in a real run.
     """
     state, unit = (
         active_state(model),
@@ -201,8 +203,8 @@ def closing_hand(
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """Near the end of a free motion, the force estimate at the thumb's tip is -0.35 N.
 
-    In contact, the force estimate at the thumb's tip rises only to 0.2 N. For this reason, the
-    contact detection uses the increase of the force estimate.
+    In contact, the force estimate at the thumb's tip rises only to 0.2 N. The contact detection
+    uses the increase of the force estimate, because the estimate without contact can be negative.
     """
     for mean_force, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=mean_force, drift=np.nan)

@@ -347,10 +347,10 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
 def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
     hand_bench: ControllerBench,
 ) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: after an ordinary stop, a run ended although a motor still pulled.
 
-    After an ordinary stop, a run ended as soon as all drives reported that they were disabled. The
-    run ended even if a motor still pulled.
+    The run ended as soon as all drives reported that they were disabled, and nothing checked
+    whether a motor still pulled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)

@@ -22,7 +22,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(hand_name: str) -> ControllerBench:
-    """Return a bench whose controller has executed a whole run.
+    """Return a test bench whose controller has executed a whole run.
 
     In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost
     and a fault occurred.
@@ -124,7 +124,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run with a start time that is 2560 ticks later has the same modes, phases, actions and events.
+    """If a run starts 2560 ticks later, its modes, phases, actions and events stay the same.
 
     The later run is allowed to differ only in the SYNC counter and in the order in which registers
     are read.
@@ -182,8 +182,8 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The telemetry of such a tick also contains the age of each last measurement, which grows from
-    tick to tick.
+    The telemetry also contains the age of each last measurement. In ticks without frames, this age
+    grows from tick to tick.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

@@ -128,7 +128,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
-    """Return one set for each tick. The set contains each regime that at least one tendon has in the tick.
+    """Return one set of regimes for each tick: the regimes (free, held or slack) of all tendons in the tick.
 
     In all ticks, the motors are at rest. In each tick, all load cells read the next tension in
     ``cell_readings`` [N].
@@ -367,10 +367,10 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """In this test, friction holds a digit just before the mechanical stop at its open end.
+    """In this test, friction holds an opening digit just before it reaches its mechanical stop.
 
-    If the filter assumed that the digit is at the stop, each return of the digit would add an error
-    to the estimated angle.
+    If the filter wrongly assumed that the digit is at the stop, the error of the estimated angle
+    would grow each time the digit opens.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -387,10 +387,10 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit comes to rest at the mechanical stop of its open end, the estimated excursion becomes zero.
+    """When an opening digit comes to rest at its mechanical stop, the filter sets the estimated excursion to zero.
 
-    When a digit comes to rest at this stop, the filter adds its previous estimate of the excursion
-    to the stretch offset.
+    When the filter sets the excursion to zero, it adds the previous estimate of the excursion to
+    the stretch offset.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

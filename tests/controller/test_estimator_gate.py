@@ -82,9 +82,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("tension_jump_N", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: float) -> None:
-    """Two successive equal outliers of a load cell show a real impact instead of a sensor error.
+    """If a load cell reads two equal outliers in a row, the filter takes them for a real impact.
 
-    The filter follows the second of two equal outliers at once.
+    The filter follows the second of the two equal outliers at once.
     """
     hand = HandAtConstantTension(model).settle()
     hand.run_tick_with_tension(HOLD_TENSION_N + tension_jump_N)
@@ -240,8 +240,8 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 ) -> None:
     """The design of the filter gains assumes that each drive sends its position in every tick.
 
-    However, a drive can send its position less often, for example only in every 11th tick after a
-    reset.
+    However, a drive can send its position less often: after a reset, for example, only in every
+    11th tick.
     """
     held_hand = HandAtConstantTension(jamia).settle()
     chance = np.random.default_rng(7)

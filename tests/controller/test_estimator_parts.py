@@ -62,7 +62,7 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was_at_stop: bo
 
 
 def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) -> FilterState:
-    """Return a filter state in which every tendon has the same regime and no digit is at its stop.
+    """Return a filter state with one regime (free, held or slack) for all tendons, and with no digit at its stop.
 
     Each keyword argument sets one of the seven states of all tendons to a value.
     """
@@ -172,8 +172,8 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 
     The length of a tendon is known if the tendon has been taut before.
 
-    After a tendon has become taut, the filter resets its evidence for a change of the regime to
-    zero.
+    The filter adds up the evidence that a slack tendon becomes taut. When a tendon counts as taut,
+    the filter resets the sum of this evidence to zero.
     """
     n = model.tendon_count
     lower_tension = next(

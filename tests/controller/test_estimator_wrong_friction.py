@@ -99,10 +99,10 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
-    """After large innovations, the filter assumes more noise. With more noise, the same innovations look normal.
+    """After large innovations, the filter assumes more noise than before.
 
-    For the warning, the filter compares the innovations with the noise that was assumed before the
-    large innovations.
+    Compared with the increased noise, the same innovations look normal. To warn of a wrong model,
+    the filter compares the innovations with the noise that it assumed before the large innovations.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
@@ -169,7 +169,8 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     """One tendon with large innovations makes the filter doubt the model of this tendon.
 
     Smaller innovations in all tendons together make the filter doubt the models of all tendons. A
-    single reading with a large innovation causes no doubt.
+    single reading with a large innovation does not make the filter doubt the models of the other
+    tendons.
     """
     period, default_nis, zero_vector = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (

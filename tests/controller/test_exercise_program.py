@@ -63,7 +63,7 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
 
 @pytest.mark.parametrize("hand_name", ["orca_like", "n_plus_1", "jamia"])
 def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> None:
-    """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
+    """Reproduce a defect: the tension of closed digits without springs rose to 30 N at 200 N/s.
 
     When the tension rose, a digit that friction had stopped early closed so fast that the fault T01
     (a tendon snapped) ended the run. During a hold of the exercise program, tensions change at the

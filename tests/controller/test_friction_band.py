@@ -1,6 +1,7 @@
 """Test how friction changes a tension when a digit reverses its motion.
 
-The tests check the computation of the friction band, and its effect in the simulator.
+The friction band of a tendon contains all tensions that friction permits at the same load. The
+tests check the computed friction band, and the errors of estimated tensions in the simulator.
 """
 
 from pathlib import Path

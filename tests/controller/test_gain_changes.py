@@ -48,7 +48,7 @@ def gain_request(gain_by_key: Mapping[str, float]) -> str:
 
 
 def noiseless_hand(model: HandModel) -> ControllerBench:
-    """Return a bench with a simulated hand whose load cells have no noise.
+    """Return a test bench with a simulated hand whose load cells have no noise.
 
     The tendons of the hand are taut, and the hand waits for requests.
     """
@@ -63,7 +63,7 @@ def noiseless_hand(model: HandModel) -> ControllerBench:
 
 @pytest.fixture
 def bench_with_rising_tension(jamia: HandModel) -> ControllerBench:
-    """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
+    """Return a test bench whose hand raises its tensions, so that the tension loops have errors."""
     bench = noiseless_hand(jamia)
     bench.tick(HOLD_REQUEST)
     bench.run(0.1)

@@ -1,7 +1,7 @@
-"""Test the controller design for any gains within bounds.
+"""Test the design of controllers with gains within their bounds.
 
-For such gains, handctl either designs a controller, or prints one error line with the reason why no
-design exists.
+For any gains within their bounds, handctl either designs a controller, or prints one error line
+with the reason why no design exists.
 """
 
 import math

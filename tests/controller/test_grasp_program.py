@@ -67,7 +67,7 @@ GRASP_TASK = {
 
 
 class ProgramRun:
-    """A program that runs tick by tick with generated estimates.
+    """A task program that a test runs tick by tick with generated estimates.
 
     Attributes:
         progress: progress of the program after the last tick.
@@ -92,7 +92,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run ticks with the same estimate until the program can have detected a contact."""
+        """Run as many ticks with the same estimate as the program needs to detect a contact."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -368,8 +368,8 @@ def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
     Because the wrist counted as in contact, a constant tension replaced the motion of the wrist.
-    This tension moved the wrist away from its commanded angle. In this test, the force along the
-    wrist tendon has the same sign as the moment arm of this tendon.
+    The constant tension moved the wrist away from its commanded angle. In this test, the force
+    along the wrist tendon has the same sign as the moment arm of this tendon.
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, Gains(), 500.0)

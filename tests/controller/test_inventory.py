@@ -70,9 +70,9 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 
 
 def hand_in_inventory(hand_bench: ControllerBench, duration_s: float) -> ControllerState:
-    """Return the state of a hand that waits for the first reading of every node.
+    """Return the state of a controller that is about to check whether every node has sent a reading.
 
-    The returned state contains readings of all nodes. A test can remove some of these readings.
+    In the returned state, every node has sent a reading. A test can remove readings from the state.
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()

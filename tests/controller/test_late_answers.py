@@ -54,7 +54,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
 def test_late_replies_without_time_stamps_are_no_second_node() -> None:
     """On the bus of this test, the time stamp of a frame is the time at which the host reads the frame.
 
-    After a pause, the simulator sends the replies to the commands of two ticks together.
+    After a pause, the replies to the commands of two ticks arrive in the same tick.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
@@ -106,9 +106,9 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 
 
 def bench_without_time_stamps() -> ControllerBench:
-    """Return a bench whose hand is active.
+    """Return a test bench whose hand is active.
 
-    On the bus of this bench, the time stamp of a frame is the time at which the host reads the
+    On the bus of this test bench, the time stamp of a frame is the time at which the host reads the
     frame.
     """
     run = make_controller_bench(

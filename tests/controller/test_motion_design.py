@@ -91,8 +91,8 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
     """The motion loop and the tension loop stay stable at a control rate near the natural frequency of a tendon.
 
-    At such a low control rate, the stability margins of the control loops are smaller than those of
-    an LQR.
+    At a low control rate, the stability margins of the control loops are smaller than those of an
+    LQR.
     """
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         assert spectral_radius(F - G @ K) < 1.0

@@ -171,8 +171,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    For this reason, the mean position target in a control period is ahead of the commanded
-    position. The distance between both positions is the motion in half a control period.
+    The mean position target in a control period is therefore ahead of the commanded position. The
+    mean position target leads by the commanded velocity times half a control period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
@@ -518,10 +518,10 @@ def test_a_moteus_without_gains_is_refused(gain_key: str) -> None:
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     gain_value: float, rate_hz: float
 ) -> None:
-    """A moteus command contains fractions of the gains kp and kd, which are limited to 1.
+    """A moteus command contains fractions of the drive's gains kp and kd. Both fractions are limited to 1.
 
-    For a moteus drive that makes less torque than commanded, the controller would need fractions of
-    kp and kd above 1.
+    If a moteus drive makes less torque than commanded, the controller would need fractions above 1
+    to correct the torque.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))

@@ -111,8 +111,8 @@ def root_mean_square(errors: np.ndarray) -> float:
 def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
-    While a hand holds an object, the error of each joint angle is nearly constant. For this reason,
-    a run of the hand with eleven joints is a sample of only eleven errors. One error above two
+    While a hand holds an object, the error of each joint angle is nearly constant. A run of a hand
+    with eleven joints therefore gives only eleven different errors. A single error above two
     standard deviations does not show that a standard deviation is wrong. The limit of 95 % applies
     to the runs with all seeds together. In a single run, the error of one joint is allowed to
     exceed two standard deviations.
@@ -176,7 +176,8 @@ def angles_of_tick(
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick ``tick_index`` if each digit has a given external tension [N].
 
-    The function also writes the values of this tick into the state.
+    The function also writes the external tensions, the tick number and the joint angles into the
+    state.
     """
     state.view("touch")[...] = external_tension
     state.set_run_table_integer(s.K, tick_index)
@@ -259,10 +260,11 @@ def state_after_fusion(
 ) -> ControllerState:
     """Return the state after the filter has fused readings of joint encoders with the estimate.
 
-    The estimated covariance before the fusion follows from two arrays of deviations [rad]. The rows
-    of ``covariance_columns`` (deviations, joints) are independent deviations of the joint angles.
-    ``angle_deviations`` (joints, tendons) contains the error of each joint angle that the excursion
-    error of each tendon causes.
+    Two arguments define the covariance of the estimated joint angles before the fusion. Each row of
+    ``covariance_columns`` (deviations, joints) [rad] is a deviation of all joint angles. The
+    deviations of different rows are statistically independent. ``angle_deviations`` (joints,
+    tendons) [rad] contains the error that the excursion error of each tendon causes in each joint
+    angle.
     """
     state_after = state.copy()
     _fuse_encoders(
@@ -280,8 +282,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
     The filter weights the estimated angle and the encoder reading of this joint according to their
-    covariances. The filter corrects the angles of the other joints through their correlation with
-    the angle of the joint with an encoder.
+    covariances. The filter also corrects the angles of joints without an encoder, because their
+    errors are correlated with the error of the measured joint.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ
@@ -313,10 +315,10 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
-    """The estimator fuses one encoder after the other.
+    """The estimator fuses the readings of the joint encoders one after the other.
 
-    One update with all encoders in matrix form gives the same result as successive updates with one
-    encoder. Both kinds of update leave out encoder readings from frames that are too old.
+    One matrix update with all encoders gives the same result as a series of updates with one
+    encoder each. Both kinds of update leave out encoder readings from frames that are too old.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

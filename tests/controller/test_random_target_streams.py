@@ -3,7 +3,7 @@
 The random targets stay within the range of each joint or tendon, reach both ends of this range, and
 change at any speed. In one test, a client streams tensions to one digit of each packaged hand with
 springs. In another test, a client streams angles to all digits of each packaged hand, so that
-digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
+digits touch each other. The warning T02a (a tendon is slack) does not make a test fail.
 """
 
 import os
@@ -200,7 +200,7 @@ def test_random_targets_cause_no_fault(
 def test_a_spool_pair_that_turns_around_does_not_count_as_torn() -> None:
     """Reproduce a defect: 6 of 60 streams of angles to orca_like ended with the fault T01.
 
-    The targets reversed the motion of a spool pair that has no load cell. The estimated tension of
-    the spool pair lagged behind the commanded tension.
+    The targets reversed the motion of a spool pair (two tendons on one motor) without load cells.
+    The estimated tension of the spool pair lagged behind the commanded tension.
     """
     test_random_targets_cause_no_fault("digit", "orca_like", random_walk_targets, 2)

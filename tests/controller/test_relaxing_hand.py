@@ -1,4 +1,4 @@
-"""Test that no request and no fault can raise a tension while a hand relaxes."""
+"""Test that neither a request nor a fault can raise a tension while a hand relaxes."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(jamia_at_low_rate: Ha
 
 
 def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> float:
-    """Return the fastest fall of the setpoint of a tendon while the hand relaxes [N/s]."""
+    """Return the highest rate [N/s] at which the setpoint of a tendon falls while the hand relaxes."""
     goals = [
         out.telemetry.tension_goal[tendon_index]
         for _, _, out in bench.tick_history
@@ -99,7 +99,7 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 def test_over_tension_is_relaxed_four_times_as_fast(
     jamia_at_low_rate: HandModel, was_relaxing_before: bool
 ) -> None:
-    """If a load cell reads a tension above the limit, the hand relaxes four times as fast from this tick on.
+    """As soon as a load cell reads a tension above the limit, the hand relaxes four times as fast as usual.
 
     The hand also relaxes faster if it was already relaxing before the high load-cell reading.
     """

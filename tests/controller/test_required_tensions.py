@@ -33,7 +33,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
-    """Compute the tensions (N,) [N] that a motion requires, for one digit after the other."""
+    """Compute the tensions (tendons,) [N] that a motion requires, for one digit after the other."""
     required_tensions = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -53,7 +53,7 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
 def test_the_load_of_each_digit_is_limited_separately(
     hand_name: str, request: pytest.FixtureRequest
 ) -> None:
-    """In this test, the required tensions of some digits reach a bound. Those of other digits reach no bound.
+    """In this test, the required tensions reach a bound in some digits, and stay within the bounds in other digits.
 
     If the required tension of one digit reaches the bound, the tensions of other digits do not
     change.

@@ -54,7 +54,7 @@ def test_shutdown_waits_until_each_motor_reports_off(
 def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
     protocol: str, drive_phase: DrivePhase, tmp_path: Path
 ) -> None:
-    """The shutdown after an exception waits until the drive has reported that it is disabled.
+    """After an exception, the shutdown waits until each drive has reported that it is disabled.
 
     The mode DISARM also waits until each drive has reported that it is disabled.
     """

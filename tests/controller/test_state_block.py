@@ -1,6 +1,7 @@
 """Test the schema of a state block, the array views that compiled kernels use, and the digest of the block.
 
-The digest of a state block depends on every field of the block.
+A state block contains the measurements, estimates and commands of a tick, and the values that the
+next tick needs. The digest of a state block depends on every field of the block.
 """
 
 import ast

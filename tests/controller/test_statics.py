@@ -42,7 +42,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 def filter_states_at_angles(
     model: HandModel, joint_angles: list[np.ndarray], tendon_speed: float = 0.0
 ) -> np.ndarray:
-    """Return filter states (N, 7) of a hand whose digits have the joint angles ``joint_angles``."""
+    """Return filter states (tendons, 7) of a hand whose digits have the joint angles ``joint_angles``."""
     table = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons, joint_angle in zip(
         model.digits, model.digit_tendons, joint_angles, strict=True

@@ -36,7 +36,7 @@ SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
 
 
 def sine_angle(t: Any) -> Any:
-    """Return the angle of the test motion at time t [deg]. The test motion is a sine of 1 Hz."""
+    """Return the angle [deg] of the test motion at time t [s]. The test motion is a sine of 1 Hz."""
     return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t)
 
 
@@ -148,8 +148,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    A stream has a delay (``horizon_s``). The client knows the motion, so it sends the angle that
-    the hand should have after the delay of the stream.
+    The hand reaches a streamed target only after a delay (``horizon_s``). The client knows the
+    motion, so it sends the angle that the hand should have after the delay of the stream.
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -420,10 +420,9 @@ def test_a_target_survives_the_log(target_value: float) -> None:
 def test_integers_beyond_64_bits_do_not_end_the_run(
     jamia: HandModel, sequence_number: int, sent_ns: int
 ) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: a target with an integer of more than 64 bits in its text raised OverflowError in the tick.
 
-    If the text of a target contained an integer of more than 64 bits, the tick raised
-    OverflowError. After the exception, the controller disabled all motors.
+    After the exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -465,9 +464,9 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time. Two targets in the same late tick therefore have equal times. Earlier defect: the
-    controller refused the second target, because the time of the second target was not later than
-    the time of the first.
+    time. Two targets that are sent after the scheduled time of the same tick therefore count as
+    sent at the same time. Earlier defect: the controller refused the second target, because the
+    time of the second target was not later than the time of the first.
     """
     with live_client(jamia) as client:
         client.open_stream()

@@ -18,7 +18,7 @@ UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
 
 @pytest.fixture
 def silent_bench(jamia: HandModel) -> ControllerBench:
-    """Return a bench whose controller has not yet sent a request."""
+    """Return a test bench whose controller has not yet sent a request."""
     run = make_controller_bench(jamia, LiveProgram())
     run.tick()
     return run
@@ -26,7 +26,7 @@ def silent_bench(jamia: HandModel) -> ControllerBench:
 
 @pytest.fixture
 def active_bench(jamia: HandModel) -> ControllerBench:
-    """Return a bench whose hand is active."""
+    """Return a test bench whose hand is active."""
     run = make_controller_bench(jamia, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.1)
@@ -117,7 +117,7 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
 
 
 def frame_with_older_counter(cell_frame: Frame) -> Frame:
-    """Copy a load-cell frame, and replace its counter by the counter of another SYNC frame."""
+    """Copy a load-cell frame, and change its counter, as if the frame replied to another SYNC frame."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
@@ -133,7 +133,10 @@ def frame_with_other_tension(cell_frame: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, open_requests, reply_variants, expected_faults
 ) -> None:
-    """A late reply to an older request is expected, so its bytes can differ from those of the newest reply."""
+    """If two requests of the controller are open, two different replies to these requests are no fault.
+
+    The controller compares only surplus replies with an expected reply.
+    """
     if open_requests == 2:
         active_bench.modify_frames_to_host = lambda frames: [
             frame for frame in frames if frame.can_id != 0x11

@@ -92,9 +92,10 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: the values of each tick, and all events.
 
-    The values of a tick are the phase of the task, and three values for each tendon (N,) [N]. The
-    three values are the estimated tension, its standard deviation, and the true tension. The record
-    also contains the last height of the object.
+    The values of a tick are the phase of the task, and three arrays (tendons,) [N]. The three
+    arrays contain the estimated tension of each tendon, the standard deviation of this estimate,
+    and the true tension. The record also contains the height of the object [m] at the end of the
+    phase ``hold``.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -122,7 +123,7 @@ def run_without_sensors(
     *fault_commands: str,
     max_duration_s: float = 30.0,
 ) -> RunWithoutCells:
-    """Run a program on a hand without load cells and encoders.
+    """Run a program on a hand that has neither load cells nor joint encoders.
 
     The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected
     fault and contains the time of the fault.

@@ -1,4 +1,4 @@
-"""Test that the command blocks of the pages in Start and Tutorials run as they are written.
+"""Test that the command blocks run as they are written, on all pages of the sections Start and Tutorials.
 
 For each page, the test executes the command blocks in an empty folder.
 

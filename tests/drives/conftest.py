@@ -1,6 +1,6 @@
-"""Test fixtures: a drive of handctl, and the model of a motor.
+"""Test fixtures: a drive object of handctl, and a model of the motor that this object controls.
 
-The drive of handctl runs tick by tick, as in the controller.
+As in the controller, the drive object runs tick by tick.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ class MotorSection:
 
 @dataclass
 class MotorRig:
-    """A drive of handctl, the state of this drive, and the motor that the drive controls.
+    """A drive object of handctl, the state of this object, and the motor that the object controls.
 
     Each tick advances the time by one control period.
     """
