@@ -72,7 +72,7 @@ class VirtualBench:
         return len(frames)
 
     def drain(self):
-        """Return the frames that the drive has sent ``delay_ticks`` ticks ago."""
+        """Return the frames that the drive sent ``delay_ticks`` ticks ago."""
         self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited_frames())
         self.frames_on_bus = []
         return [

@@ -81,7 +81,7 @@ def true_tendon_state(simulation: SimulatedRun) -> TrueTendonState:
 def tension_bound(
     simulation: SimulatedRun, initial_state: TrueTendonState, motor_force: np.ndarray
 ) -> np.ndarray:
-    """Return an upper bound of each tension (N,) [N].
+    """Return an upper bound of each tension [N], as an array with the shape (tendons,).
 
     The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
     Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at

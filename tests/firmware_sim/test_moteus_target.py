@@ -1,4 +1,4 @@
-"""Test the position mode of a simulated moteus: its moving target, gains, torque limit, and codes of active limits."""
+"""Test the position mode of a simulated moteus: moving target, gains, torque limit, and reports of active limits."""
 
 import math
 import struct

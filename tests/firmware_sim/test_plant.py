@@ -264,7 +264,8 @@ Each finger of ``orca_like`` has three joints and three spool pairs.
 def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> Hand:
     """Return ``orca_like`` with coupled joints in each finger.
 
-    In each finger with coupled joints, one spool pair flexes both outer joints.
+    In each finger with coupled joints, two antagonistic tendons on one spool (a spool pair) move
+    both outer joints.
 
     Args:
         joint_coupling: value of the key ``joint_coupling`` for each finger, with one row for each of the three

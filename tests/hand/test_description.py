@@ -78,9 +78,10 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
-    """Reproduce a defect: a hand lost its calibration when its stream limits changed.
+    """Reproduce a defect: a hand lost its calibration when the hand file changed the limits of streamed targets.
 
-    The log of a hand with the default stream limits did not contain the stream limits.
+    In addition, the log of a hand with default limits of streamed targets did not contain these
+    limits.
     """
     slow_hand = hand_from_content(
         CONTENT_BY_HAND_NAME[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"

@@ -127,7 +127,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity_m_s2):
 
 
 def inverse_dynamics_of_hand(digits, q, dq, ddq):
-    """Return the joint torques of all digits of a hand, in order, from its inverse dynamics."""
+    """Return the joint torques of all digits from the inverse dynamics, in the order of the digits."""
     return np.concatenate(
         [dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits]
     )
