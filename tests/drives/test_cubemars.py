@@ -149,8 +149,8 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """A temperature byte covers -40 to 215 degC. Source: CubeMars AK Series Actuator Driver Manual, 5.3.
 
-    Some CubeMars motors send the temperature without the offset of 40 degC. For these motors, a
-    hand file sets the option ``temperature_offset_C`` to 0.
+    For CubeMars motors that send the temperature without the offset of 40 degC, a hand file sets
+    the option ``temperature_offset_C`` to 0.
     """
     for more_options, temperature in (
         ({}, 45.0),

@@ -42,7 +42,7 @@ def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
     For each returned identifier of the drive or its host, the function also returns 29 changed
-    identifiers. Each changed identifier differs in one of the 29 bits.
+    identifiers. Each changed identifier differs from the original identifier in one bit.
     """
     own_ids = sorted(
         identifier

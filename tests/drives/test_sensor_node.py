@@ -85,7 +85,7 @@ def encode_frames(
 
 
 def tick_with_counter_nibble(node: SensorNode, counter_nibble: int) -> int:
-    """Return the first tick whose SYNC counter has ``counter_nibble`` as its lowest four bits."""
+    """Return the first tick in which the lowest four bits of the SYNC counter equal ``counter_nibble``."""
     return next(k for k, counter in enumerate(node.counters) if counter & 0xF == counter_nibble)
 
 

@@ -33,7 +33,7 @@ def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
 def measured_tick_s(
     hand_path: Path, wire_words: Sequence[str], period_ns: int = PERIOD_NS
 ) -> list[float]:
-    """Return the mean measured bus time of a tick on each bus [s] while the drives are enabled."""
+    """Return the mean time per tick [s] that frames occupy each bus while the drives are enabled."""
     bench = ProtocolBench(hand_path, wire_words, period_ns)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.simulated_hand.wired

@@ -1,4 +1,4 @@
-"""A simulated drive that is alone on a bus in virtual time, and a host that commands the drive."""
+"""Simulate one drive on a bus in virtual time, together with a host that commands the drive."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ class VirtualBench:
     ):
         """Put a simulated drive on the bench.
 
-        The drive can have a fault, and its frames can have a delay in ticks.
+        The drive can have a fault. The frames of the drive arrive ``delay_ticks`` ticks late.
         """
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=shaft_inertia)
         self.bench = SimulatedDriveBench(

@@ -74,7 +74,7 @@ class WiredDrives:
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Begin the next tick.
 
-        Return the frame that requests the sensor values, which the host sends at the end of a tick.
+        Return the frame with which the host requests the sensor values at the end of a tick.
         """
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
@@ -152,7 +152,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of the drive ``drive_index``, filled with the values for this drive in the state block."""
+        """Return the state of the drive ``drive_index``, with the values that the state block has for this drive."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 

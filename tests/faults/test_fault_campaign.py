@@ -64,8 +64,8 @@ def campaign_report():
 def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
-    The campaign tried to saturate the load cell of a spool pair. A spool pair has no load cell, so
-    the campaign ended with a traceback.
+    The campaign tried to saturate the load cell of a spool pair. A spool pair (two tendons on one
+    spool) has no load cell, so the campaign ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -377,9 +377,9 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A tendon that tears while it pulls is detected within 75 ms.
 
-    A drive that makes no torque is detected within 22 ticks. Earlier defect: the controller
-    detected a torn tendon and a drive that makes no torque too late. Earlier defect: the controller
-    did not report a drive that kept its torque after it was disabled.
+    A drive that makes no torque is detected within 22 ticks. Earlier defect: the controller was too
+    late to detect a torn tendon or a drive without torque. Earlier defect: the controller did not
+    report a drive that kept its torque after it was disabled.
     """
     results = results_of_hand(
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -502,8 +502,8 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     """Reproduce a defect: at 1 kHz, the controller needed more ticks to detect two faults than at 500 Hz.
 
-    One fault was detected late because of the low-pass filter of N14 (a command is not obeyed). The
-    other fault was detected late because of a delayed frame.
+    One detection was late because of the low-pass filter of N14 (a command is not obeyed), and the
+    other because of a delayed frame.
     """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_MOTION_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}

@@ -1,4 +1,4 @@
-"""Test that a hand that relaxes never raises a tension.
+"""Test that a relaxing hand never raises a commanded force, and that the tensions stay below computed bounds.
 
 The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
 check the true tensions of the simulated hand.

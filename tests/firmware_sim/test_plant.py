@@ -1,4 +1,4 @@
-"""Compare the simulated hand with results of statics and kinematics that were computed by hand."""
+"""Compare the simulated hand with manually calculated results of statics and kinematics."""
 
 import json
 import math
@@ -63,7 +63,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     All joints have the same moment arm r, stiffness k and preload angle q0, and therefore the same
     angle q.
 
-    Gravity has no effect on the joints, because it is parallel to the hinges.
+    Gravity is parallel to the joint axes, so gravity has no effect on the joints.
     """
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, tension * 0.005, 2.0)

@@ -98,7 +98,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 def changeable_numbers(content):
     """Yield the path and the value of those numbers in a hand's content that a test changes slightly.
 
-    A change of one of these numbers leaves the hand valid.
+    The hand stays valid when one of the yielded numbers changes.
     """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]

@@ -1,4 +1,4 @@
-"""Compare the equations of motion of a digit with pinocchio and MuJoCo, and with general laws of mechanics."""
+"""Compare the equations of motion of a digit with those of pinocchio and MuJoCo, and with general laws of mechanics."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""Compare twenty random hands with pinocchio and MuJoCo.
+"""Compare the models of twenty random hands with the models in pinocchio and MuJoCo.
 
 The directions of joint axes and of gravity are random.
 """
