@@ -73,7 +73,7 @@ def move_to_second_bus(hand_path: Path, motor_indices: Sequence[int] = (2, 3)) -
 
 
 class ProtocolBench:
-    """Bench that connects handctl's drives and sensor node of a hand to the simulated firmware."""
+    """Bench that connects handctl's code for the drives and the sensor node of a hand to the simulated firmware."""
 
     def __init__(
         self, hand_path: Path, wire_words: Sequence[str] | None = None, period_ns: int = PERIOD_NS

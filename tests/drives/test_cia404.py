@@ -152,7 +152,7 @@ def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) 
 
 
 class AmplifierBench:
-    """Bench that connects handctl to the simulated amplifiers of a hand, without drives."""
+    """Bench without drives that connects handctl's code for load-cell amplifiers to simulated amplifiers."""
 
     def __init__(self, hand: Hand, hand_path: str) -> None:
         """Start the simulator for the hand that a file describes."""

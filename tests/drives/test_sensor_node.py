@@ -276,7 +276,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
 
 
 def state_without_unknown_counters(wired_drives: WiredDrives) -> bytes:
-    """Return the bytes of the state block, but set the counters of unknown and malformed frames to zero."""
+    """Return the bytes of a state block whose counters of unknown and malformed frames are set to zero."""
     block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
         wired_drives.layout.view(block, name)[...] = 0

@@ -50,7 +50,7 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
     Earlier, the host sent no SYNC frame on a bus without a sensor node. Therefore a hand with CiA
-    402 drives on such a bus was never armed.
+    402 drives on a bus without a sensor node was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))

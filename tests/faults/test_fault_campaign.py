@@ -339,8 +339,8 @@ def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
 def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_tension(seed: int):
     """Reproduce a defect: the controller detected exchanged power stages of two drives too late.
 
-    A tension reached 100 to 114 N, because the difference between tension and motor force had a
-    low-pass filter with a time constant of 200 ms.
+    A tension reached 100 to 114 N, because the difference between tension and motor force was
+    filtered with a time constant of 200 ms.
     """
     (result,) = results_of_hand("t42", seed, {FREE_MOTION_STAGE: ("cross",)}, "odrive").values()
     assert result.ok, result.problem
@@ -350,7 +350,7 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """The fault T04b (a load cell is wrong) detects only tensions that are too high within 20 ms.
+    """Within 20 ms, the fault T04b (a load cell is wrong) detects only tensions that are too high.
 
     If a drive switches off, the tension becomes too low. Therefore the controller reports the error
     of the drive instead of T04b.
@@ -434,7 +434,8 @@ def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(see
     """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
 
     A high speed of a spool shows that the drive has released its tendon. Between two rare reports
-    of an ODrive, the estimated speed is only a prediction. A wrong prediction hid the fault.
+    of an ODrive, the estimated speed is only a prediction. The prediction of a high speed hid the
+    fault.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2

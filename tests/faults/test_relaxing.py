@@ -48,7 +48,10 @@ RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
 """Longest time from a command to its execution by a drive whose injected fault is a late reaction [s]."""
 COMMAND_ROUNDING_N = 0.05
-"""Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
+"""Largest increase of a commanded tendon force by rounding [N].
+
+A command has only twelve bits for the torque.
+"""
 TENSION_BOUND_MARGIN_N = 3.0
 """Margin that is added to the computed tension bound [N].
 
