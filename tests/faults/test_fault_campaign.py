@@ -1,7 +1,7 @@
 """Test the fault campaign, which injects faults into simulated hands that run in lockstep with the controller.
 
-Each injected fault has an effect, and all reactions of the controller are in time. No tension is
-larger than the force limits of the drives and the momentum of the rotors can cause.
+Each injected fault has an effect, and all reactions of the controller are in time. No tension
+exceeds the bound that follows from the force limits of the drives and the momentum of the rotors.
 """
 
 import contextlib

@@ -112,9 +112,9 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
-    """With locked joints, the tension rises by k r per radian of spool rotation.
+    """With locked joints, the tension rises in proportion to the spool rotation.
 
-    In the product k r, k is the tendon stiffness, and r is the spool radius.
+    The slope is k r, with the tendon stiffness k and the spool radius r.
     """
     plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)

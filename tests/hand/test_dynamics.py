@@ -173,10 +173,9 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 
 
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
-    """The matrix M' - 2 C is skew-symmetric.
+    """The matrix M' - 2 C is skew-symmetric, with the mass matrix M and the Coriolis matrix C.
 
-    M' is the time derivative of the mass matrix, C is the Coriolis matrix, and q' are the joint
-    rates.
+    M' is the time derivative of the mass matrix, and q' are the joint rates.
 
     Because M' - 2 C is skew-symmetric, the power q'^T C q' equals q'^T M' q' / 2.
     """
