@@ -4,7 +4,7 @@ The clients command simulated drives of ``python -m firmware_sim drive`` on any 
 
 Each function enables a drive, commands a torque, checks that the free shaft turns, and disables the
 drive. The clients give up after waiting 0.4 s to 1 s for a reply. The functions of this module wait
-longer than the clients for a reply of a drive.
+up to 20 s for each expected event.
 """
 
 import asyncio
@@ -112,10 +112,10 @@ def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
 
 
 async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
-    """Use odrive-can within its event loop.
+    """Control an ODrive with the asynchronous functions of odrive-can.
 
-    The function reads positions from the cyclic encoder message of the drive. A request with a
-    remote frame could wait forever for the reply of the drive.
+    The function reads positions from the cyclic encoder message of the drive. The function does not
+    request positions with remote frames, because odrive-can could wait forever for the reply.
     """
     drive = ODriveCAN(axis_id=node_id, can_bus=bus)
     positions = [0.0]

@@ -1,4 +1,4 @@
-"""Make hand files with any drive protocol, and run the drives tick by tick with the simulated firmware."""
+"""Make hand files with any drive protocol, and connect the drives to the simulated firmware tick by tick."""
 
 import json
 import re
@@ -29,7 +29,7 @@ OPTIONS_TEXT_BY_PROTOCOL = {
 
 
 def hand_file(hand_folder: Path, protocols: Sequence[str], added_text: str = "") -> Path:
-    """Write a hand file that differs from the packaged hand in its drive protocols.
+    """Write a copy of a packaged hand file with other drive protocols.
 
     Return the path of the new hand file.
 
@@ -73,12 +73,12 @@ def move_to_second_bus(hand_path: Path, motor_indices: Sequence[int] = (2, 3)) -
 
 
 class ProtocolBench:
-    """Bench in which the drives and the sensor node of a hand run with the simulated firmware."""
+    """Bench that connects handctl's code for the drives and the sensor node of a hand to the simulated firmware."""
 
     def __init__(
         self, hand_path: Path, wire_words: Sequence[str] | None = None, period_ns: int = PERIOD_NS
     ) -> None:
-        """Start the simulator and the drives of a hand file."""
+        """Start the simulator and create the drives for the hand that a file describes."""
         self.hand = load_hand(str(hand_path))
         self.period_ns = period_ns
         self.simulated_hand = LockstepHand(
@@ -130,7 +130,7 @@ class ProtocolBench:
         )
 
     def clear(self) -> None:
-        """Clear the errors of all drives, as the controller does when the operator requests it."""
+        """Clear the errors of all drives, as the controller does when the operator requests a clear."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):
             self.states[i], clear_frames = drive.clear(self.states[i])

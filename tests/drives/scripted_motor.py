@@ -15,7 +15,7 @@ INTEGER_REGISTERS = {9: 0, 10: 1, 15: 0x1234}
 
 @dataclass
 class ScriptedMotor:
-    """A motor with a state, registers, and faults that a test sets.
+    """A motor with a state and registers, into which a test can inject faults.
 
     Position, velocity and torque of the motor are integer codes, as in a frame.
 

@@ -1,4 +1,4 @@
-"""Test the drives and the sensor node of the packaged hand with the simulated firmware.
+"""Test handctl's code for the drives and the sensor node of the packaged hand against the simulated firmware.
 
 The simulated firmware shares no code with handctl.
 """
@@ -20,7 +20,7 @@ PACKAGED_HAND = load_hand("jamia")
 
 
 class PackagedHandBench:
-    """Bench in which the drives and the sensor node of the packaged hand run with the simulated firmware."""
+    """Bench that connects handctl's code for drives and sensor node of the packaged hand to the simulated firmware."""
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""

@@ -56,8 +56,8 @@ random_payloads = st.lists(
 def stuff_bits(bit_text: str) -> str:
     """Return bits with stuff bits inserted.
 
-    A stuff bit follows five equal bits and is opposite to them. A stuff bit itself counts among the
-    next five bits.
+    After five equal bits, a stuff bit with the opposite value follows. The stuff bit is the first
+    of the next five bits that are compared.
     """
     out = ""
     for bit in bit_text:
@@ -87,7 +87,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, payloa
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A classical CAN frame of zeros has more than 85 % of the bits of the longest possible frame."""
+    """A classical CAN frame whose data bits are all 0 has more than 85 % of the bits of the longest possible frame."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

@@ -1,4 +1,7 @@
-"""Test load-cell amplifiers of CiA 404: their frames, their set-up, and the faults of a hand with amplifiers."""
+"""Test load-cell amplifiers with the CANopen profile CiA 404.
+
+The tests cover the frames and the set-up of amplifiers, and the faults of a hand with amplifiers.
+"""
 
 import math
 import struct
@@ -52,7 +55,10 @@ class AmplifierSection:
 
 
 def hand_with_amplifiers(hand_name: str = "jamia", **changed_keys: Any) -> Hand:
-    """Return a packaged hand whose load cells are on CiA 404 amplifiers."""
+    """Return a packaged hand whose load cells are connected to CiA 404 amplifiers.
+
+    The arguments ``changed_keys`` replace values in the sensor section of the hand file.
+    """
     content = load_hand(hand_name).content
     node = {
         key: value for key, value in content["sensor_node"].items() if key not in SENSOR_NODE_KEYS
@@ -146,10 +152,10 @@ def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) 
 
 
 class AmplifierBench:
-    """Bench in which the amplifiers of a hand run with the simulator, without drives."""
+    """Bench without drives that connects handctl's code for load-cell amplifiers to simulated amplifiers."""
 
     def __init__(self, hand: Hand, hand_path: str) -> None:
-        """Start the simulator of a hand file."""
+        """Start the simulator for the hand that a file describes."""
         self.simulated_hand = LockstepHand(hand_path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
         self.states = [amplifier.initial_state() for amplifier in self.sensors.amplifiers]
@@ -200,7 +206,10 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
-    """Return an amplifier bench with ``changed_keys`` as new values in the sensor section of the hand."""
+    """Return a bench with the amplifiers of a hand.
+
+    The arguments ``changed_keys`` replace values in the sensor section of the hand file.
+    """
     hand = hand_with_amplifiers(**changed_keys)
     path = hand_folder / "hand.toml"
     path.write_text(hand.to_toml())
@@ -294,7 +303,7 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """In this test, the amplifiers already send readings before their set-up, in the unit of the manufacturer.
+    """In this test, the amplifiers send readings in the unit of the manufacturer before the host sets them up.
 
     Numbers in the unit of the manufacturer are 100 times the tension in newtons.
     """

@@ -1,4 +1,7 @@
-"""Compare payloads byte by byte with the documents of CiA 301, CiA 402 and ODrive's CANSimple protocol."""
+"""Compare payloads byte by byte with the payloads that documents define.
+
+The documents are CiA 301, CiA 402, and the description of ODrive's CANSimple protocol.
+"""
 
 import math
 import struct

@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal, apart from a difference that has no effect.
 
-    The time of the last sign of life of a CiA 402 drive has no effect if the last feedback is
-    later.
+    The time of the last sign of life of a CiA 402 drive has no effect if feedback arrived after the
+    sign of life.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
@@ -261,8 +261,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(variant_name: str) -> None:
 def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> None:
     """`bus plan` computes the bus load from the cyclic commands and replies of a drive.
 
-    All other messages that handctl decodes are unsolicited or rare, and do not count for the bus
-    load.
+    The bus load does not include unsolicited or rare messages, although handctl decodes them.
     """
     drive, _, _, _ = enable_drive(variant_name)
     command_layouts = sorted(

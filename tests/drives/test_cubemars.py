@@ -112,10 +112,10 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
-    """An AK80-9 motor obeys commands up to 18 N m.
+    """An AK80-9 motor obeys commands up to 18 N m, even if the torque limit in the hand file is smaller.
 
-    A smaller torque limit cannot be set in the motor. Only the host can keep the torque below the
-    torque limit in the hand file.
+    The motor has no setting for a torque limit. Only the host can keep the torque below the torque
+    limit in the hand file.
     """
     protections = " ".join(
         ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
@@ -132,8 +132,8 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
 def test_the_help_names_the_motor_types_of_the_drives() -> None:
     """A command must print its help without importing the code of the drives.
 
-    The help text has its own list of protocol names, so that handctl need not import the code of
-    the drives.
+    The help text uses a separate list of protocols and motor types, so that handctl need not import
+    the code of the drives.
     """
     ranges = {
         "cubemars": MOTOR_MODEL_RANGES,
@@ -149,8 +149,8 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """A temperature byte covers -40 to 215 degC. Source: CubeMars AK Series Actuator Driver Manual, 5.3.
 
-    The option ``temperature_offset_C`` is for CubeMars motors that send the temperature without the
-    offset of 40.
+    For CubeMars motors that send the temperature without the offset of 40 degC, a hand file sets
+    the option ``temperature_offset_C`` to 0.
     """
     for more_options, temperature in (
         ({}, 45.0),

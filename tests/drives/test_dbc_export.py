@@ -119,7 +119,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a torque command.
 
-    Check, too, that the torque in a torque command equals the commanded torque within one count.
+    If the frame is a torque command, check that its torque equals ``torque`` within one count.
     """
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:

@@ -1,4 +1,4 @@
-"""Test the options of a drive that a hand file is allowed to contain.
+"""Test the drive options that a hand file is allowed to contain.
 
 Every accepted option value must give finite numbers in the computations of the drive.
 """

@@ -1,7 +1,8 @@
 """Test the state of the drives after a run.
 
-Between two runs, the host sends nothing. A drive reports the silence of the host as a fault only if
-the earlier run has failed.
+Between two runs, the host sends nothing. After a run that ended without a failure, no drive reports
+the silence of the host as a fault. After a failed run, CiA 402 drives continue to supervise the
+host.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""Pass frames of random data to every message decoder, with every identifier and length.
+"""Test the message decoders with frames of random data, and the message encoders with random numbers.
 
-Pass random numbers to every message encoder.
+The frames have every 11-bit identifier and every length.
 """
 
 import functools
@@ -41,8 +41,8 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    Each returned identifier of the drive or its host is also returned 29 times more, with one of
-    its 29 bits changed.
+    For each returned identifier of the drive or its host, the function also returns 29 changed
+    identifiers. Each changed identifier differs from the original identifier in one bit.
     """
     own_ids = sorted(
         identifier

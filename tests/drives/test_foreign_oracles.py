@@ -1,4 +1,4 @@
-"""Compare frames that handctl encodes and decodes with the frames and values of other software.
+"""Compare the encoders and decoders of handctl with those of other software.
 
 Frames of an ODrive are compared with ODrive's own DBC file. Frames of CiA 402 drives are compared
 with the package canopen and the packaged EDS file.

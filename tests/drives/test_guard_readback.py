@@ -131,8 +131,8 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    For four CubeMars drives, handctl printed 20 lines of cautions, five for each drive, instead of
-    one line for equal cautions. One of the five cautions for a drive was only a hint about the
+    For four CubeMars drives, handctl printed 20 lines: five cautions for each drive. Now drives
+    with the same caution share one line. One of the five cautions was only a hint about the
     temperature.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])

@@ -106,8 +106,8 @@ def crc_16_ccitt(message: bytes) -> int:
 class Ads131m04Chip:
     """Model of an ADS131M04 chip.
 
-    The model has registers and channels. Each frame of the chip contains the reply to the previous
-    command, and a checksum.
+    The model of the chip has registers and channels. Each frame of the chip contains the reply to
+    the previous command, and a checksum.
     """
 
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])

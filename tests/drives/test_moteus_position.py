@@ -149,7 +149,8 @@ def test_a_setting_that_is_lost_while_enabled_is_found(setting_name: str) -> Non
 def test_a_restart_is_found_by_two_reads() -> None:
     """The controller reads the settings of a moteus back one after the other.
 
-    After a restart of the drive, at least one of two consecutively read settings has a wrong value.
+    After a restart of the drive, at least one of any two settings that are read one after the other
+    has a wrong value.
     """
     settings = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for first_setting, second_setting in zip(settings, settings[1:] + settings[:1], strict=True):
@@ -211,7 +212,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
 
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
-    """Encode the drive commands that a state block contains, and return the payloads of their frames."""
+    """Encode the drive commands in the controller state ``block``, and return the payloads of the frames."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
         block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_scalings,

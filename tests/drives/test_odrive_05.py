@@ -1,8 +1,8 @@
 """Test ODrives with firmware 0.5.x.
 
 ODrives with firmware 0.5.x are set up, enabled and disabled in the same way as ODrives with later
-firmware. The heartbeat of firmware 0.5.x is different. In an ODrive with firmware 0.5.x, handctl
-cannot verify protections such as the watchdog.
+firmware. The heartbeat message of firmware 0.5.x has another layout than that of later firmware. In
+an ODrive with firmware 0.5.x, handctl cannot verify protections such as the watchdog.
 """
 
 import struct

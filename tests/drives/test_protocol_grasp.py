@@ -53,7 +53,10 @@ def test_a_hand_grasps(
     ],
 )
 def test_arming_reports_no_fault(protocol: str) -> None:
-    """Reproduce a defect: an ODrive sent no feedback in the tick after the verification of its settings (B01)."""
+    """Reproduce a defect: an ODrive sent no feedback in the tick after its settings were verified.
+
+    The missing feedback caused the fault B01 (a reply is missing).
+    """
     model = HandModel.from_hand(hand_with_protocol("jamia", protocol), Gains(), 400.0)
     controller = homed_controller(model, LiveProgram())
     with SimulatorSettings(model.hand, None, 0, homed=True).begin_run(controller) as run:

@@ -51,7 +51,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """A drive setting that was verified in the last tick counts as verified, even if a tick takes long."""
+    """A drive setting that was verified in the last tick counts as verified, even if a tick lasts 25 ms."""
     slow_bench = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):

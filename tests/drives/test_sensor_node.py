@@ -85,7 +85,7 @@ def encode_frames(
 
 
 def tick_with_counter_nibble(node: SensorNode, counter_nibble: int) -> int:
-    """Return the first tick whose SYNC counter has ``counter_nibble`` as its lowest four bits."""
+    """Return the first tick in which the lowest four bits of the SYNC counter equal ``counter_nibble``."""
     return next(k for k, counter in enumerate(node.counters) if counter & 0xF == counter_nibble)
 
 
@@ -276,7 +276,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
 
 
 def state_without_unknown_counters(wired_drives: WiredDrives) -> bytes:
-    """Return the bytes of the state block, in which the counters of unknown and malformed frames are zero."""
+    """Return the bytes of a state block whose counters of unknown and malformed frames are set to zero."""
     block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
         wired_drives.layout.view(block, name)[...] = 0

@@ -1,8 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
 On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus without
-a request to the sensor node, the host sends a SYNC frame on behalf of one drive. One drive of each
-bus sends the heartbeat of the host.
+a request to the sensor node, the host sends a SYNC frame on behalf of one drive. On each bus, the
+code of one drive sends the heartbeat of the host.
 """
 
 import tomllib
@@ -33,7 +33,7 @@ HEARTBEAT_TICKS = 5
 
 
 def sync_sender_names(hand: Hand) -> list[str]:
-    """Return the names of the drives that send SYNC frames."""
+    """Return the names of the drives on whose behalf the host sends SYNC frames."""
     return [drive.name for drive in make_drives(hand) if getattr(drive, "sync", False)]
 
 
@@ -49,8 +49,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    On a bus without a sensor node, the host sent no SYNC frame. Therefore a hand with CiA 402
-    drives on a bus without a sensor node was never armed.
+    Earlier, the host sent no SYNC frame on a bus without a sensor node. Therefore a hand with CiA
+    402 drives on a bus without a sensor node was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
@@ -75,8 +75,8 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
 def test_the_host_sends_one_heartbeat_on_each_bus(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    The host sent its heartbeat once for each drive. One heartbeat on each bus is enough, because
-    every drive on a bus receives it.
+    Earlier, the host sent its heartbeat once for each drive. One heartbeat on each bus is enough,
+    because every drive on a bus receives the heartbeat.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     model = HandModel.from_hand(load_hand(str(path)), Gains(), 250.0)

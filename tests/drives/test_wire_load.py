@@ -20,9 +20,9 @@ PERIOD_NS = 4_000_000
 
 
 def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
-    """Return the planned bus time per tick on each bus [s].
+    """Return the time per tick [s] that frames are planned to occupy each bus.
 
-    The planned bus time includes the frames that nodes send by a timer.
+    The planned time includes the frames that nodes send by a timer.
     """
     return [
         load.load_at_rate(1e9 / period_ns) * period_ns * 1e-9
@@ -33,7 +33,7 @@ def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
 def measured_tick_s(
     hand_path: Path, wire_words: Sequence[str], period_ns: int = PERIOD_NS
 ) -> list[float]:
-    """Return the mean measured bus time of a tick on each bus [s] while the drives are enabled."""
+    """Return the mean time per tick [s] that frames occupy each bus while the drives are enabled."""
     bench = ProtocolBench(hand_path, wire_words, period_ns)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.simulated_hand.wired

@@ -1,4 +1,4 @@
-"""A simulated drive that is alone on a bus in virtual time, and a host that commands the drive."""
+"""Simulate one drive on a bus in virtual time, together with a host that commands the drive."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ class VirtualBench:
     ):
         """Put a simulated drive on the bench.
 
-        The drive can have a fault, and its frames can have a delay in ticks.
+        The drive can have a fault. The frames of the drive arrive ``delay_ticks`` ticks late.
         """
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=shaft_inertia)
         self.bench = SimulatedDriveBench(
@@ -72,7 +72,7 @@ class VirtualBench:
         return len(frames)
 
     def drain(self):
-        """Return the frames that the drive has sent ``delay_ticks`` ticks ago."""
+        """Return the frames that the drive sent ``delay_ticks`` ticks ago."""
         self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited_frames())
         self.frames_on_bus = []
         return [

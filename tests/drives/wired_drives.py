@@ -1,4 +1,4 @@
-"""Connect drives and a sensor node with a state block.
+"""Run compiled code and the Python code of drives and of a sensor node on one array of state values.
 
 Compiled code receives and sends the frames of the drives and of the sensor node, as in a tick of
 the controller.
@@ -25,7 +25,7 @@ from handctl.drives.sensors.contract import SensorInterface
 
 
 class WiredDrives:
-    """State of the drives and of the sensor node between two ticks.
+    """Drives and a sensor node whose state between two ticks is an array of numbers, the state block.
 
     Attributes:
         block: state block with the numbers of the drives and of the sensor node.
@@ -59,7 +59,7 @@ class WiredDrives:
             self.store_drive_state(i, state)
 
     def field_view(self, field_name: str) -> NDArray:
-        """Return a field of the state block."""
+        """Return the numbers of one field of the state block as a view."""
         return self.layout.view(self.block, field_name)
 
     def field_number(self, field_name: str) -> int:
@@ -67,14 +67,14 @@ class WiredDrives:
         return int(self.field_view(field_name)[0])
 
     def begin_tick(self) -> None:
-        """Begin a tick, and keep the number and the time of the tick."""
+        """Begin a tick without changing the number and the time of the tick."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         tick_stages.begin_tick(self.block, self.layout.offsets, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Begin the next tick.
 
-        Return the frame that requests the sensor values, which the host sends at the end of a tick.
+        Return the frame with which the host requests the sensor values at the end of a tick.
         """
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
@@ -107,7 +107,10 @@ class WiredDrives:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Return the frames that a tick sends to the drives for a requested drive state and given torques."""
+        """Return the frames that the host sends to the drives in a tick.
+
+        The frames request the drive state ``target``, and command the torques ``torque`` [N m].
+        """
         self.field_view("t_ns")[...] = t_ns
         tables, sent, first_drive = self.tables, list[Frame](), 0
         while True:
@@ -130,7 +133,7 @@ class WiredDrives:
             first_drive += 1
 
     def store_drive_state(self, drive_index: int, drive_state: DriveState) -> None:
-        """Store the state of the drive ``drive_index``. The values of the drive go into the state block."""
+        """Store the state of the drive ``drive_index``, and write its values to the state block."""
         drive, integers, table = (
             self.drives[drive_index],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -149,7 +152,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of the drive ``drive_index``, filled with the values for this drive in the state block."""
+        """Return the state of the drive ``drive_index``, with the values that the state block has for this drive."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 
@@ -173,18 +176,18 @@ class WiredDrives:
         return bool(self.field_view("misread_now")[-1])
 
     def observe_readings(self) -> "WiredDrives":
-        """Convert the received sensor values to the measurements of the filter.
+        """Convert the received sensor values to measurements for the state filter.
 
-        The filter starts as soon as every sensor has been read once.
+        The state filter starts as soon as every sensor has been read once.
         """
         tick_stages.observe_tick(self.block, self.layout.offsets, *self._load_cell_constants)
         return self
 
     @cached_property
     def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
-        """Return the block of a hand's constants.
+        """Return the array with a hand's constants, and the offsets of the constants in the array.
 
-        In the returned block, only the constants for load-cell frames have values.
+        In the returned array, only the constants for load-cell frames have values.
         """
         axes = self.layout.axes
         used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}

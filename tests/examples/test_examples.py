@@ -56,7 +56,8 @@ def running_simulator(*simulator_options):
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    Unix sockets are in another folder, because the path of a Unix socket must be short.
+    Put Unix sockets into a separate folder with a short path, because the path of a Unix socket
+    must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
@@ -98,9 +99,10 @@ def check_picture(picture_name):
 
 @contextmanager
 def simulated_hand(time_scale_of_attempt, *words, name="jamia"):
-    """Run the simulated hand of the examples in slowed time.
+    """Run the simulated hand of the examples, in real time or slower.
 
-    Yield the command-line options for a controller of the simulated hand.
+    With ``time_scale_of_attempt`` = 0.5, simulator and controller run at half the speed of real
+    time. Yield the command-line options for a controller of the simulated hand.
     """
     scale = make_time_scale_options(TIME_SCALE * time_scale_of_attempt)
     write_homed_calibration(Path("c.toml"), load_hand(name))

@@ -1,7 +1,7 @@
-"""Test the fault matrix in lockstep.
+"""Test the fault campaign, which injects faults into simulated hands that run in lockstep with the controller.
 
-Each injected fault has an effect, and all reactions of the controller are in time. No tension is
-larger than the force limits of the drives and the momentum of the rotors can cause.
+Each injected fault has an effect, and all reactions of the controller are in time. No tension
+exceeds the bound that follows from the force limits of the drives and the momentum of the rotors.
 """
 
 import contextlib
@@ -64,8 +64,8 @@ def campaign_report():
 def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
-    The campaign tried to saturate the load cell of a spool pair. A spool pair has no load cell, so
-    the campaign ended with a traceback.
+    The campaign tried to saturate the load cell of a spool pair. A spool pair (two tendons on one
+    spool) has no load cell, so the campaign ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -97,10 +97,10 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """A campaign that simulates only runs without faults can continue the seeds of an earlier campaign.
+    """A campaign that simulates only runs without faults can begin with any seed.
 
-    The first seed of the new campaign can follow the last seed of the earlier campaign. Therefore
-    several short campaigns can replace one long campaign.
+    If each campaign begins with the seed after the last seed of the previous campaign, several
+    short campaigns can replace one long campaign.
     """
     seeds = []
 
@@ -163,8 +163,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Reproduce a defect.
 
     Two drives were exchanged: each drive reported the encoder and the current of the other drive.
-    The controller detected the exchange only after 2.3 s, because the torque commands changed so
-    much at the contact.
+    The fault N17 compares the changes of the commanded torque with the changes of the reported
+    torque. The large changes at a contact dominated the comparison, so the controller detected the
+    exchange only after 2.3 s.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -282,8 +283,8 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 def test_silent_joint_encoders_are_detected(joint):
     """Four successive missing frames of a joint encoder cause the fault N02b (the joint encoders are silent).
 
-    Three successive missing frames cause no fault. In particular, the missing frames cause neither
-    N06 (encoder drift or slip) nor T08 (a tendon left its pulley).
+    Three successive missing frames cause no fault, not even N06 (encoder drift or slip) or T08 (a
+    tendon left its pulley).
     """
     joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
@@ -336,7 +337,11 @@ def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_tension(seed: int):
-    """Reproduce a defect: the force residual had only a filter of 200 ms, so a tension reached 100 to 114 N."""
+    """Reproduce a defect: the controller detected exchanged power stages of two drives too late.
+
+    A tension reached 100 to 114 N, because the difference between tension and motor force was
+    filtered with a time constant of 200 ms.
+    """
     (result,) = results_of_hand("t42", seed, {FREE_MOTION_STAGE: ("cross",)}, "odrive").values()
     assert result.ok, result.problem
     assert result.detected_by.startswith("T04b")
@@ -345,10 +350,10 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """The fast filter of the fault T04b (a load cell is wrong) finds only tensions that are too high.
+    """Within 20 ms, the fault T04b (a load cell is wrong) detects only tensions that are too high.
 
-    If a drive makes no torque, the tension becomes lower, so the fast filter does not find the
-    drive.
+    If a drive switches off, the tension becomes too low. Therefore the controller reports the error
+    of the drive instead of T04b.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
@@ -372,9 +377,9 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A tendon that tears while it pulls is detected within 75 ms.
 
-    A drive that makes no torque is detected within 22 ticks. Earlier defect: the controller
-    detected a torn tendon and a drive that makes no torque too late. Earlier defect: the controller
-    did not report a drive that kept its torque after it was disabled.
+    A drive that makes no torque is detected within 22 ticks. Earlier defect: the controller was too
+    late to detect a torn tendon or a drive without torque. Earlier defect: the controller did not
+    report a drive that kept its torque after it was disabled.
     """
     results = results_of_hand(
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -428,8 +433,9 @@ def test_a_noisy_encoder_is_reported_as_such(seed):
 def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
     """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
 
-    The ODrive sends its torque rarely. Between two torque reports, the estimated speed of the spool
-    hid the fault.
+    A high speed of a spool shows that the drive has released its tendon. Between two rare reports
+    of an ODrive, the estimated speed is only a prediction. The prediction of a high speed hid the
+    fault.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2
@@ -497,8 +503,8 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     """Reproduce a defect: at 1 kHz, the controller needed more ticks to detect two faults than at 500 Hz.
 
-    One fault was detected late because of the low-pass filter of N14 (a command is not obeyed). The
-    other fault was detected late because of a delayed frame.
+    One detection was late because of the low-pass filter of N14 (a command is not obeyed), and the
+    other because of a delayed frame.
     """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_MOTION_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
@@ -511,11 +517,12 @@ def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
 def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_strong_hand(
     protocol,
 ):
-    """Compare drives with torque limits of 110 N and 160 N.
+    """A hand whose drives pull with at most 110 N needs lower fault thresholds than a hand with 160 N.
 
     Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The
-    controller found a drive that makes no torque after 23 ticks, but the time limit is 22 ticks. At
-    1 kHz, the controller found a runaway drive after 11 ticks, but the time limit is 10 ticks.
+    controller detected after 23 ticks that a drive made no torque, but the time limit is 22 ticks.
+    At 1 kHz, the controller detected a runaway drive after 11 ticks, but the time limit is 10
+    ticks.
     """
     faults = {FREE_MOTION_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):
@@ -553,10 +560,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
     The bound of the tension follows from the force limit and the momentum of the drive. The runaway
-    drive pulls its rotor against the tendon with at most the force F. Converted to the tendon, the
-    inertia of the rotor is the mass m, and the initial speed is v. The tendon has the stiffness k
-    and the initial tension T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2).
-    The reaction of the controller can only make the tension smaller than the bound.
+    drive pulls the tendon with at most the force F. Converted to the tendon, the inertia of the
+    rotor is the mass m, and the initial speed is v. The tendon has the stiffness k and the initial
+    tension T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of
+    the controller can only make the tension smaller than the bound.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -584,8 +591,8 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
     """The drive in this test is an ODrive without torque feedback.
 
-    The load cell of the tendon saturates at a lower tension than the one at which the controller
-    disables all drives at once.
+    The load cell of the tendon saturates below the tension at which the controller would
+    immediately disable all drives.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

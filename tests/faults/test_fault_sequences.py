@@ -44,9 +44,10 @@ EMPTY_CALLBACKS = {
 
 @pytest.fixture(scope="module")
 def arming_simulation():
-    """Yield the simulation of a hand at a low control rate. The controller is just arming the hand.
+    """Yield the simulation of a hand at a control rate of 200 Hz.
 
-    Each test uses a copy of the yielded simulation.
+    The simulation has stopped at a tick in which the controller arms the hand. Each test uses a
+    copy of the yielded simulation.
     """
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
         advance_to_stage(arming_simulation, ARMING_STAGE)

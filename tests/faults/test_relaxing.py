@@ -1,4 +1,4 @@
-"""Test that a hand that relaxes never raises a tension.
+"""Test that a relaxing hand never raises a commanded force, and that the tensions stay below computed bounds.
 
 The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
 check the true tensions of the simulated hand.
@@ -48,7 +48,10 @@ RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
 """Longest time from a command to its execution by a drive whose injected fault is a late reaction [s]."""
 COMMAND_ROUNDING_N = 0.05
-"""Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
+"""Largest increase of a commanded tendon force by rounding [N].
+
+A command has only twelve bits for the torque.
+"""
 TENSION_BOUND_MARGIN_N = 3.0
 """Margin that is added to the computed tension bound [N].
 
@@ -81,7 +84,7 @@ def true_tendon_state(simulation: SimulatedRun) -> TrueTendonState:
 def tension_bound(
     simulation: SimulatedRun, initial_state: TrueTendonState, motor_force: np.ndarray
 ) -> np.ndarray:
-    """Return an upper bound of each tension (N,) [N].
+    """Return an upper bound of each tension [N], as an array with the shape (tendons,).
 
     The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
     Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at

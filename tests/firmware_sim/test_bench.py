@@ -98,7 +98,7 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 def run_at_torque(
     protocol: str, torque: float, motor_type: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
-    """Command a torque [N m] of a simulated drive for five seconds.
+    """Command a simulated drive to make a torque [N m] for five seconds.
 
     Return the bench with the simulated drive, and the final speed of its shaft [rad/s].
     """

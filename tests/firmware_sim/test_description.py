@@ -1,4 +1,4 @@
-"""Test how the simulator reads hand files and changes their parameters at random.
+"""Test how the simulator reads a hand file, and how it changes parameters of the simulated hand at random.
 
 The tests also check that the bytes of a simulated frame equal those of the Linux structure
 `canfd_frame`.

@@ -77,7 +77,7 @@ def test_wrong_faults_are_refused_in_one_line(fault_text, expected_message):
 
 
 def second_motor_text(fault_kind: str, index: int) -> str:
-    """Return the words ``with=...``, which name the second motor, for the text of a fault on two motors.
+    """Return the part ``with=...`` of a fault text, which names the second motor of a fault on two motors.
 
     If the fault acts on a single motor, return an empty text.
     """

@@ -1,4 +1,4 @@
-"""Test the position mode of a simulated moteus: its moving target, gains, torque limit, and codes of active limits."""
+"""Test the position mode of a simulated moteus: moving target, gains, torque limit, and reports of active limits."""
 
 import math
 import struct
@@ -22,7 +22,7 @@ TURN_RAD = 2.0 * math.pi
 class SingleDriveBench:
     """A simulated moteus drive with a large inertia at the shaft.
 
-    The motor torque hardly moves the shaft, because of its large inertia.
+    Because the shaft has a large inertia, the motor torque hardly moves the shaft.
     """
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:

@@ -363,8 +363,8 @@ def cia402_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
-    Before the drive is enabled, each entry of ``object_values`` (index, sub-index, value, size) is
-    written to its object dictionary.
+    Before the drive is enabled, the function writes each entry of ``object_values`` to the object
+    dictionary of the drive. An entry is (index, sub-index, value, size).
     """
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, **drive_options})])

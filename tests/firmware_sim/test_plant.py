@@ -1,4 +1,4 @@
-"""Compare the simulated hand with results of statics and kinematics that were computed by hand."""
+"""Compare the simulated hand with manually calculated results of statics and kinematics."""
 
 import json
 import math
@@ -63,7 +63,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     All joints have the same moment arm r, stiffness k and preload angle q0, and therefore the same
     angle q.
 
-    Gravity has no effect on the joints, because it is parallel to the hinges.
+    Gravity is parallel to the joint axes, so gravity has no effect on the joints.
     """
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, tension * 0.005, 2.0)
@@ -112,9 +112,9 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
-    """With locked joints, the tension rises by k r per radian of spool rotation.
+    """With locked joints, the tension rises in proportion to the spool rotation.
 
-    In the product k r, k is the tendon stiffness, and r is the spool radius.
+    The slope is k r, with the tendon stiffness k and the spool radius r.
     """
     plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)
@@ -264,7 +264,8 @@ Each finger of ``orca_like`` has three joints and three spool pairs.
 def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> Hand:
     """Return ``orca_like`` with coupled joints in each finger.
 
-    In each finger with coupled joints, one spool pair flexes both outer joints.
+    In each finger with coupled joints, two antagonistic tendons on one spool (a spool pair) move
+    both outer joints.
 
     Args:
         joint_coupling: value of the key ``joint_coupling`` for each finger, with one row for each of the three

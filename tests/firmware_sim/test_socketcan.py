@@ -20,7 +20,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class FakeSocket:
-    """Fake raw CAN socket for a test that takes the role of the Linux kernel."""
+    """Fake raw CAN socket, with which a test takes the role of the Linux kernel."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

@@ -1,4 +1,7 @@
-"""Test environments of hands with prismatic joints, whose targets are in mm and degrees."""
+"""Test environments of hands with prismatic joints.
+
+Targets are in mm for prismatic joints, and in degrees for revolute joints.
+"""
 
 from pathlib import Path
 

@@ -15,7 +15,7 @@ TRACK_ENV, GRASP_ENV = "handctl/Track-v0", "handctl/Grasp-v0"
 
 
 def make_env(environment_id: str, **environment_options: Any) -> Any:
-    """Return an environment that draws pictures, without wrappers."""
+    """Return an unwrapped environment that draws pictures."""
     return gymnasium.make(environment_id, render_mode="rgb_array", **environment_options).unwrapped
 
 

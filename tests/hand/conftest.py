@@ -41,7 +41,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def refusal() -> Callable[[Mapping[str, Any]], str]:
-    """Return a function. The function builds a hand from wrong content and returns the error line.
+    """Return a function that builds a hand from wrong content, expects a ConfigError, and returns its error line.
 
     The error line contains the file name, the key path, the wrong value and the expected value.
     """

@@ -16,7 +16,10 @@ JAMIA_HAND_CONTENT = hand_content("jamia")
 
 @pytest.fixture
 def refusal_of_edit(refusal):
-    """Return a function that changes values of the packaged hand, and returns the resulting error message."""
+    """Return a function that applies a wrong change to the packaged hand.
+
+    The returned function returns the error message of the wrong change.
+    """
 
     def refusal_line(content_edit):
         content = copy.deepcopy(JAMIA_HAND_CONTENT)

@@ -78,9 +78,10 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
-    """Reproduce a defect: a hand lost its calibration when its stream limits changed.
+    """Reproduce a defect: a hand lost its calibration when the hand file changed the limits of streamed targets.
 
-    The log of a hand with the default stream limits did not contain the stream limits.
+    In addition, the log of a hand with default limits of streamed targets did not contain these
+    limits.
     """
     slow_hand = hand_from_content(
         CONTENT_BY_HAND_NAME[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"
@@ -97,7 +98,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 def changeable_numbers(content):
     """Yield the path and the value of those numbers in a hand's content that a test changes slightly.
 
-    A change of one of these numbers leaves the hand valid.
+    The hand stays valid when one of the yielded numbers changes.
     """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]

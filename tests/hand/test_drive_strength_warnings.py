@@ -53,8 +53,9 @@ def hand_with_ratings(
 def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
     """`config check` warns that a runaway drive of a jamia hand could break its tendon.
 
-    A motor of a jamia hand pulls with at least 250 N. If the drive of the motor runs away, the
-    tension reaches 500 N. The breaking force of 620 N is less than 1.5 times the tension of 500 N.
+    A motor of a jamia hand can pull with 250 N or more. If the drive of the motor runs away, the
+    momentum of the rotor raises the tension to 500 N or more. The breaking force of the tendon is
+    620 N, which is less than 1.5 times 500 N.
     """
     assert main(["config", "check", "--hand", hand_name]) == 0
     warning_lines = [

@@ -1,4 +1,4 @@
-"""Compare the equations of motion of a digit with pinocchio and MuJoCo, and with general laws of mechanics."""
+"""Compare the equations of motion of a digit with those of pinocchio and MuJoCo, and with general laws of mechanics."""
 
 import mujoco
 import numpy as np
@@ -127,7 +127,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity_m_s2):
 
 
 def inverse_dynamics_of_hand(digits, q, dq, ddq):
-    """Return the joint torques of all digits of a hand, in order, from its inverse dynamics."""
+    """Return the joint torques of all digits from the inverse dynamics, in the order of the digits."""
     return np.concatenate(
         [dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits]
     )
@@ -173,10 +173,9 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 
 
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
-    """The matrix M' - 2 C is skew-symmetric.
+    """The matrix M' - 2 C is skew-symmetric, with the mass matrix M and the Coriolis matrix C.
 
-    M' is the time derivative of the mass matrix, C is the Coriolis matrix, and q' are the joint
-    rates.
+    M' is the time derivative of the mass matrix, and q' are the joint rates.
 
     Because M' - 2 C is skew-symmetric, the power q'^T C q' equals q'^T M' q' / 2.
     """

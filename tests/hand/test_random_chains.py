@@ -1,4 +1,4 @@
-"""Compare twenty random hands with pinocchio and MuJoCo.
+"""Compare the models of twenty random hands with the models in pinocchio and MuJoCo.
 
 The directions of joint axes and of gravity are random.
 """
@@ -331,7 +331,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """A digit in the hand needs the same static torque as the digit alone.
+    """A digit that carries no other digit needs the same static torque in a hand as in a model of the digit alone.
 
     In this test, the digits that carry another digit are at angle zero.
     """

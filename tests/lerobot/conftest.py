@@ -1,4 +1,4 @@
-"""Provide a simulated hand in slowed time to tests with LeRobot's robots and scripts."""
+"""Provide a simulated hand at half the speed of real time to tests with LeRobot's robots and scripts."""
 
 import tempfile
 
@@ -20,7 +20,8 @@ TIME_SCALE = 0.5
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    Unix sockets are in another folder, because the path of a Unix socket must be short.
+    Put Unix sockets into a separate folder with a short path, because the path of a Unix socket
+    must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
@@ -32,7 +33,7 @@ def work_folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def robot_options(work_folder):
-    """Start a simulated hand in slowed time, and return the options of a controller for this hand."""
+    """Start a simulated hand at half the speed of real time, and yield the options of a controller for this hand."""
     scale = make_time_scale_options(TIME_SCALE)
     process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]

@@ -1,4 +1,4 @@
-"""Test the plug-in with LeRobot's own registry, base classes and script.
+"""Test handctl's plug-in for LeRobot with LeRobot's own registry, base classes and script.
 
 The tests are skipped if LeRobot is not installed.
 """

@@ -1,4 +1,4 @@
-"""Test the plug-in with LeRobot's own scripts and its loader of datasets.
+"""Test handctl's plug-in for LeRobot with LeRobot's own scripts and dataset loader.
 
 The tests are skipped if LeRobot is not installed.
 """
@@ -37,10 +37,10 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 
 
 def fault_texts(run_log: RunLog) -> list[str]:
-    """Return the texts of all faults in a log that made the hand relax.
+    """Return the texts of those faults in a log that made the hand relax.
 
-    The function ignores weaker faults, because a busy machine delays frames and actions, and in
-    this way causes weaker faults.
+    The function ignores weaker faults, which a busy machine causes when it delays frames and
+    actions.
     """
     return [
         row.event.text

@@ -18,7 +18,7 @@ from handctl.log.write.recorder import Recorder
 
 
 def _us_per_item(item_count: int, measured_work: Callable[[], object]) -> float:
-    """Run a function three times, and return its shortest CPU time per item [us]."""
+    """Run a function three times, and return the shortest CPU time divided by ``item_count`` [us]."""
     times_s = []
     for _ in range(3):
         start = time.process_time()

@@ -120,7 +120,7 @@ def test_every_feature_is_declared_as_it_is(exported_dataset: Path) -> None:
 
 
 def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
-    """When LeRobot splits a dataset, it computes the statistics of a part from the statistics of its episodes."""
+    """When LeRobot splits a dataset, it computes the statistics of a part from those of the episodes in this part."""
     whole_content = json.loads((exported_dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(exported_dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}

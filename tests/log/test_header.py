@@ -86,8 +86,8 @@ def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
-    For the command `log check`, return the finding on standard output instead, and check that the
-    exit code is 1.
+    The command `log check` prints its finding to standard output, so return this line for `log
+    check`. In addition, check the exit code: 1 for `log check`, and 2 for other commands.
     """
     checks = command_words[:2] == ("log", "check")
     assert main(command_words) == (1 if checks else 2), command_words

@@ -39,9 +39,9 @@ def _write_log(
     chunk_borders: frozenset[int] = frozenset(),
     event_texts: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in the test process, and begin a new MCAP chunk at each index in ``chunk_borders``.
+    """Write a log in the test process, and end an MCAP chunk after each tick whose index is in ``chunk_borders``.
 
-    Also assert that the log writer reports exactly the events ``event_texts``.
+    Assert that the log writer reports exactly the events ``event_texts``.
     """
     log_path.unlink(missing_ok=True)
     problems: list[str] = []

@@ -44,7 +44,10 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Replace each function of time in an expression by its symbol in the formulas, and return the new expression."""
+    """Replace the joint angles as functions of time, and their derivatives, by symbols.
+
+    Return the new expression.
+    """
     for order in (2, 1, 0):
         expression = expression.subs(
             {
@@ -89,7 +92,8 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     """If the third link has no mass and no inertia (m3 = I3 = 0), the finger equations describe a thumb with two links.
 
-    The test compares the finger equations with m3 = I3 = 0 with the thumb equations.
+    The test sets m3 = I3 = 0 in the finger equations, and expects the torques of the thumb
+    equations.
     """
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
@@ -260,7 +264,11 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
-    """The hand in the paper has no springs, so the printed numbers are compared with the torque of the links alone."""
+    """The hand in the paper has no springs, so its printed numbers do not contain torques of springs.
+
+    The test compares the printed numbers with the torque that moves the links: inertia, Coriolis
+    and gravity terms.
+    """
     fast_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
     links = sum(
         fast_torques.torque_by_cause[torque_cause]

@@ -17,7 +17,10 @@ def golden_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def recorded_grasp_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a grasp with a fault, a bus event and requests on the present machine, and return the path of its log."""
+    """Record a grasp on the present machine, and return the path of the log.
+
+    The run contains a fault, a bus event and requests.
+    """
     import short_runs
 
     from handctl.core.tick_types import IoEvent

@@ -73,7 +73,7 @@ sink_speed_m_s = 0.2
 
 @dataclass
 class PeerWithLostReplies:
-    """Wrapper of a lockstep simulator.
+    """Wrap a lockstep simulator, and drop some of the simulator's replies.
 
     From the time ``since_ns`` on, the wrapper drops all replies with the identifier ``can_id``.
 

@@ -73,7 +73,11 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
 
 @pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)
 def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, log_name: str) -> None:
-    """The processor of the machine that recorded the golden logs can round the last bits in another way."""
+    """Compare golden logs and their re-execution with a relative tolerance of 1e-9.
+
+    The last bits of a result can differ between the present processor and the processor that
+    recorded the golden logs.
+    """
     with RunLog(golden_folder / f"{log_name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)

@@ -1,11 +1,11 @@
 """Re-execute all golden logs.
 
-A golden log is a recorded run whose telemetry must stay equal to the last bit. A code change for
-other hands must not change this telemetry.
+A golden log is a recorded run. When the run is executed again, the telemetry must equal the log to
+the last bit. A code change for other hands must not change the telemetry of a golden log.
 
 Earlier defect: with the matrix kernels for AVX-512, the last bits of the telemetry differed from
-those of other processors. Another defect: a changed order of a sum of products changed the last
-bits of ``q_sigma`` in jamia11-grasp.
+those of other processors. Earlier defect: products were added in another order, which changed the
+last bits of ``q_sigma`` in the golden log jamia11-grasp.
 """
 
 from pathlib import Path

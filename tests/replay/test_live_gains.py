@@ -107,8 +107,8 @@ def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) ->
     """A drive with a torque error reports the torque that it would make without the error.
 
     Earlier defect: the controller compared the reported torque with the torque that the motor must
-    make. The two torques differ, so the controller reported the fault N14 (a command is not
-    obeyed).
+    make. The reported torque and the torque of the motor differ, so the controller reported the
+    fault N14 (a command is not obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

@@ -30,10 +30,10 @@ MOVE_PHASE = (
 
 @dataclass
 class SimulatorWithLostReplies:
-    """Wrapper of a lockstep simulator.
+    """Wrap a lockstep simulator, and drop some of the simulator's replies at random.
 
-    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. The losses
-    of replies are so small that the run continues.
+    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. Because only
+    a few replies are lost, the run continues.
     """
 
     peer: LockstepSimulator

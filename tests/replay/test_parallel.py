@@ -80,7 +80,7 @@ def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
 
 
 def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> None:
-    """A state that is restored from a snapshot has the same bytes and the same hash.
+    """A state that is restored from a snapshot has the same bytes and the same hash as the stored state.
 
     The test restores the state in every tick of a run with faults and requests. From the restored
     state, the next tick gives the same result as in the run.

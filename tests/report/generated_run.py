@@ -63,7 +63,7 @@ class GeneratedRunLog:
 def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
     """Create a truth record whose values are zero, with one row for each tick.
 
-    In addition, the truth record has two rows before the run, and two rows after the run.
+    The truth record begins two rows before the run, and ends two rows after the run.
     """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
