@@ -129,7 +129,9 @@ def test_a_record_comes_back_with_every_field() -> None:
 
 @pytest.mark.parametrize("attribute_name", ["jamia", "n_plus_1"])
 def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> None:
-    """Reproduce a defect: ``copy.copy`` and ``pickle`` ended in a RecursionError, and ``dir`` left out all fields.
+    """Reproduce a defect: ``copy.copy`` and ``pickle`` of an observation raised a RecursionError.
+
+    ``dir`` left out all fields of the observation.
 
     Programs put observations into queues between processes, and notebooks complete names with
     ``dir``.

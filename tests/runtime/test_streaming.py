@@ -196,7 +196,7 @@ def test_every_watcher_gets_its_lines(work_folder):
 
 @pytest.fixture
 def fake_stream(work_folder):
-    """Return a stream of two angles [rad], and the list of the targets that it has sent [deg]."""
+    """Return a stream that takes two angles [rad], and the list of the targets that the stream has sent [deg]."""
     from handctl.client.stream import TargetStream
 
     class FakeTargetSender:

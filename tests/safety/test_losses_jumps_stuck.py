@@ -334,8 +334,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return three values: the number of ticks since the last change of the encoder reading, and the
-    changes of target and tension since that tick.
+    Return the number of ticks since the last change of the encoder reading. Also return how much
+    the target and the tension have changed since the last change of the encoder reading.
     """
     rows: StateValues = {
         "measured_position": motor_position,

@@ -223,10 +223,10 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The hand model, and the centre of the ensemble of simulated hands, use the identified parameters.
+    """The hand model uses the identified parameters, and the ensemble of simulated hands varies around them.
 
-    The tuned gains keep the identity of the hand file. It differs from the identity of a hand with
-    identified parameters.
+    The tuned gains refer to the hand file by its identity (a hash of its content). A hand with
+    identified parameters has another identity than the hand file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(

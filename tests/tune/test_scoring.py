@@ -1,6 +1,6 @@
 """Test the scores of gains with a simulated hand that differs from its hand file.
 
-Even with very bad gains, the simulated motion that is scored runs to its end.
+Even with very bad gains, the scored motion is simulated to its end.
 """
 
 import json
@@ -19,10 +19,10 @@ from handctl.tune.search.ensemble import sample_ensemble
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
-    """Reproduce a defect: a motor had stopped 0.4 mm before its travel goal.
+    """Reproduce a defect: the controller reported the fault N04 (an encoder is stuck) although no encoder was stuck.
 
-    After the stop of the motor, the filtered goal continued to move. Because the goal moved without
-    the motor, the controller reported the fault N04 (an encoder is stuck) after 2.5 s.
+    A motor had stopped 0.4 mm before its travel goal, while the filtered goal continued to move.
+    Because the goal moved without the motor, the controller reported N04 after 2.5 s.
     """
     hand = load_hand("jamia")
     score = score_exercise(

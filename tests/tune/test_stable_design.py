@@ -67,8 +67,9 @@ torque than the motor has, even at the operating point.
 def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
-    Each returned LQR weight, the integral gain and each filter parameter differ from their default
-    values by at most the factor ``gain_range``.
+    The returned LQR weights, integral gain and filter noises differ from their default values by at
+    most the factor ``gain_range``. The disturbance rejection is a random number between 0 and 1.
+    The tension feedback is random, and at most as large as its default value.
     """
     random = np.random.default_rng(seed)
 
@@ -111,7 +112,7 @@ def model_with_force_weight(force_N: float) -> HandModel:
 
 @pytest.mark.parametrize("force_N", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
-    """At its torque limit, the output of the control law does not depend on its inputs.
+    """At the torque limit, a small change of the inputs does not change the output of the control law.
 
     At the torque limit, finite differences of the output are zero, so the linear model must be
     computed from the gains.
@@ -259,7 +260,7 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 
 
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
-    """Reproduce a defect: ``tune design`` gave up for n_plus_1.
+    """Reproduce a defect: ``tune design`` found no gains for the hand n_plus_1.
 
     The design gave only the first tendon of a finger a large force weight. This large force weight
     lowered the gain margins of the other tendons of the finger below 6 dB.
@@ -378,9 +379,10 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 def test_a_design_keeps_a_distance_from_the_limits(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """A hand with an oscillation of 1.6 N counts as at rest, but a design with this oscillation is refused.
+    """An oscillation of 1.6 N is below the limit of the rest test (2 N), but ``tune design`` refuses such gains.
 
-    With other sensor noise, an oscillation of 1.6 N could grow beyond the limit of 2 N.
+    With other sensor noise, an oscillation of 1.6 N could grow beyond the limit of the rest test (2
+    N).
     """
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",

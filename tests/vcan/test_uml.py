@@ -23,9 +23,9 @@ def _require_guest() -> None:
 
 
 def guest_processes(folder: str) -> list[int]:
-    """Return the processes whose command lines contain the name of a folder.
+    """Return the process ids of a running guest system.
 
-    The returned processes belong to a running guest system.
+    The command line of each of these processes contains the name of the folder of the guest system.
     """
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):

@@ -73,6 +73,6 @@ def entities_of_file(recording_path: Path) -> dict[str, RecordingEntity]:
 
 
 def run_info_of(log_path: Path) -> RunInfo:
-    """Return the data about the run and the hand that the viewer reads from the header of a log."""
+    """Read the header of a log, and return the data that the viewer needs about the run and the hand."""
     with RunLog(log_path) as log:
         return RunInfo.from_header(log.header, log_path.stem)

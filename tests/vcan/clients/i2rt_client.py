@@ -146,7 +146,7 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_watchdog(checks: CheckList) -> None:
-    """Set the watchdog of a motor, and wait until the watchdog fires.
+    """Set the watchdog time of a motor, and wait until the watchdog fires.
 
     Let i2rt enable the motor again. Before the motor can be enabled, i2rt must clear the error of
     the motor.

@@ -56,7 +56,7 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer that causes faults in the controller run that it observes.
+    """Observer of a controller run. The observer causes faults in this run.
 
     While the hand pulls its tendons, the observer executes one fault action after the other.
 
