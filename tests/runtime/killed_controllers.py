@@ -50,7 +50,7 @@ RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
 """Watchdog time of the drives in the hand file [ms].
 
-When the watchdog time plus ``TORQUE_DECAY_MS`` is over, no motor is allowed to make torque.
+``TORQUE_DECAY_MS`` after the end of the watchdog time, no motor is allowed to make torque.
 """
 TORQUE_DECAY_MS = 4.0
 """Time that the current of a motor needs to decay after the motor was disabled [ms]."""

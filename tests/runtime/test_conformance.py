@@ -27,7 +27,7 @@ TORQUE_LIMIT_N_M = 0.1
 DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
 DEFECT_TABLE_MARK = "and a row for each defect of `--broken`."
 OPTIONS_WITHOUT_ENDPOINTS = {"torque_feedback": True}
-"""Options of an ODrive on a bench without endpoint numbers."""
+"""Options of an ODrive whose options ``endpoint_*`` are not set."""
 
 
 def check_results(

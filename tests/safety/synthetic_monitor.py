@@ -80,8 +80,9 @@ class SyntheticMonitor:
 
     Attributes:
         limits: names of the parts of the hand, and thresholds of the faults of the hand.
-        layout, block: layout and block of the state. constants_layout, constants: layout and block
-            of the constants. Tests can change the constants.
+        layout, block: layout of the state, and the array with all values of the state.
+        constants_layout, constants: layout of the constants, and the array with all constants.
+            Tests can change the constants.
         latched, reported_faults: faults that are latched, and faults that were reported, in the
             form that ``safety.tick_verdict`` uses.
     """

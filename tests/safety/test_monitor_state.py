@@ -310,7 +310,7 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
 TICKS_PER_JOINT_READING = 4
 """Number of ticks from one joint reading to the next.
 
-A slow bus possibly cannot transmit more joint readings.
+A slow bus is possibly not able to transmit joint readings more often.
 """
 
 

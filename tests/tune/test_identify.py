@@ -223,7 +223,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The hand model uses the identified parameters, and the ensemble of simulated hands varies around them.
+    """The hand model uses the identified parameters, and the hands of the ensemble vary around the hand model.
 
     The tuned gains refer to the hand file by its identity (a hash of its content). A hand with
     identified parameters has another identity than the hand file.

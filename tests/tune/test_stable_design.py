@@ -379,7 +379,7 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 def test_a_design_keeps_a_distance_from_the_limits(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """An oscillation of 1.6 N is below the limit of the rest test (2 N), but ``tune design`` refuses such gains.
+    """``tune design`` refuses gains that cause an oscillation of 1.6 N, although the rest test allows 2 N.
 
     With other sensor noise, an oscillation of 1.6 N could grow beyond the limit of the rest test (2
     N).

@@ -25,7 +25,8 @@ def _require_guest() -> None:
 def guest_processes(folder: str) -> list[int]:
     """Return the process ids of a running guest system.
 
-    The command line of each of these processes contains the name of the folder of the guest system.
+    The function finds the processes by the name of the guest system's folder in their command
+    lines.
     """
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):

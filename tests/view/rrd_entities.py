@@ -17,7 +17,8 @@ class RecordingEntity(NamedTuple):
     """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: run time of each row [ns]. For a static entity, the array of times is empty.
+        times: time of each row in the time of the run [ns]. For a static entity, the array of times
+            is empty.
         rows: values of each component in all rows, by the name of the component.
         static_values: constant value of each static component, by the name of the component.
     """

@@ -40,7 +40,7 @@ Source: Linux ``sockios.h`` and ``if.h``.
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
-"""Time from the start of a tendon pull to the fault [s], and planned time of the pull after the fault [s]."""
+"""Time from the start of a tendon pull to the fault [s], and planned duration of the pull after the fault [s]."""
 TIME_SCALE = 0.1
 
 
@@ -56,7 +56,7 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a controller run. The observer causes faults in this run.
+    """Observer of a controller run. The observer causes faults in the observed run.
 
     While the hand pulls its tendons, the observer executes one fault action after the other.
 
