@@ -171,7 +171,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
 
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
-    """Reproduce a defect: for a hold phase named "squeeze", tension error, tip forces and motion were missing."""
+    """Reproduce a defect: for a hold phase named "squeeze", the summary lacked tension error, tip forces and motion."""
     log = log_with_hold_phase()
     log.phases = [
         phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases

@@ -24,8 +24,8 @@ LOCAL_BUS = "local:t"
 TIME_SCALE = 1.0
 """Time scale of simulator and controller.
 
-1 is real time. If the machine is too slow for the time scale, the clock that simulator and
-controller share pauses.
+1 is real time. If the machine is too slow for the time scale, the shared clock of simulator and
+controller pauses.
 """
 SERIAL_NUMBER_BASE = 0x4000
 """Base of the serial numbers of simulated drives.

@@ -326,7 +326,8 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     In the first tick, the input is just below the limit of the fault. In the following ticks, the
     fault is present. In the last tick, the hand is at rest without the fault.
 
-    Interpreted code debounces the fault: a fault counts only after some ticks in a row.
+    The debouncing runs as Python code, without compilation. With debouncing, a fault counts only
+    after some ticks in a row.
     """
     case, monitor, actions_and_counts = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}

@@ -45,7 +45,7 @@ The limit for a single parameter is lower, because a single parameter has only 4
 this test.
 """
 COMMON_PAIR_PARAMETERS = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
-"""Parameters that can be identified for every pair of tendons on one motor in the packaged hand."""
+"""Parameters that must be identified for every tendon of a digit without springs."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Test the scores of gains with a simulated hand that differs from its hand file.
+"""Test the scores of gains.
+
+The gains are scored with a simulated hand that differs from its hand file.
 
 Even with very bad gains, the scored motion is simulated to its end.
 """
@@ -57,7 +59,7 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
 def test_digits_that_touch_each_other_are_not_scored(
     tmp_path: Path, link_lengths_mm: str, seed: int
 ) -> None:
-    """Reproduce a defect: two digits blocked each other, but the scoring reported a tracking error.
+    """Reproduce a defect: when two digits blocked each other, the scoring reported only a tracking error.
 
     The tracking error of the blocked digits was 6 to 8 deg.
     """

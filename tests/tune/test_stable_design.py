@@ -280,7 +280,8 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """A simulated hand with unstable gains does not come to rest.
 
-    Earlier defect: ``tune design`` wrote unstable gains as a design with infinite margins.
+    Earlier defect: ``tune design`` computed infinite stability margins for unstable gains, and
+    wrote these gains.
     """
     model = model_with_force_weight(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable

@@ -33,7 +33,7 @@ from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGIT_NAMES, PULL_N, RATE_HZ, simulated_hand_process
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
-"""Numbers of two requests to Linux, and the flag of an interface that is up.
+"""Numbers of two ioctl requests of Linux, and the flag of a network interface that is up.
 
 Source: Linux ``sockios.h`` and ``if.h``.
 """
