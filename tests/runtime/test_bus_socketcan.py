@@ -150,7 +150,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 ) -> None:
     """The host measures the offset between wall clock and monotonic clock.
 
-    After this measurement, the test sets the wall clock, and Linux stamps a frame.
+    After the host has measured the offset, the test sets the wall clock, and Linux stamps a frame.
     """
     bus, peer_socket = udp_bus
     time.sleep(TIME_STAMP_DELAY_S)

@@ -79,7 +79,7 @@ class FakeBus:
 
 @dataclass
 class FakeControllerTick:
-    """Fake controller tick. Its method ``command`` executes the whole tick."""
+    """Fake controller tick, whose method ``command`` executes the whole tick."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int

@@ -255,7 +255,8 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     """If too many targets arrive at the socket for streams, the next tick gets the newest targets.
 
-    Requests such as a stop use another socket, so the flood of targets does not delay them.
+    Requests such as a stop use another socket, so the flood of targets does not delay these
+    requests.
     """
     box, mail = TargetReceiver("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0

@@ -205,7 +205,7 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class PositionJumpMonitor(SyntheticMonitor):
-    """Motors with a safety monitor that checks their reported positions for jumps.
+    """Motors, and a safety monitor that checks the reported motor positions for jumps.
 
     Each motor has its own largest permitted change of the position in a control period [rad].
     """

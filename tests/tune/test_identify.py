@@ -1,4 +1,4 @@
-"""Test the identification of hands whose parameters differ from their hand file."""
+"""Test the identification of hands whose parameters differ from those in the hand file."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,6 +1,6 @@
 """Test that designed gains are stable.
 
-The tests check eigenvalues and simulate runs in lockstep. They also compare computed stability
+The tests check eigenvalues and simulate runs in lockstep. The tests also compare computed stability
 margins with margins that are found by trying many values.
 """
 
@@ -195,10 +195,11 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", SEED_RANGE)
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
-    """A computed stability margin is never larger than the true margin.
+    """Compare computed stability margins with the true margins, which are found by trying many values.
 
-    The computed margin is smaller than the true margin only if the frequency response and the
-    eigenvalues disagree.
+    A computed margin is larger than the true margin by 1 % at most, apart from a small absolute
+    tolerance. If the frequency response and the eigenvalues disagree, the computed margin can be up
+    to 15 % smaller than the true margin.
     """
     model = model_of(hand_name, seed)
     for kind in LoopKind:
