@@ -11,12 +11,12 @@
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
 sets ``HANDCTL_SLOW_S`` to 0. CI sets ``HANDCTL_SLOW_S`` to 3, and to 0 for tests that run in real
 time. `make nightly` and plain pytest run all listed tests. The cost of a test is its processor
-time. For a test that runs in real time, the cost is its elapsed time. For each test function, a
-test run that leaves out tests still executes as many of the first cases as fit into a time budget.
-The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for tests that run in real
-time. An incomplete test run also executes the cheapest test of each file, if this test costs no
-more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests executes at least
-one test of nearly every file.
+time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
+tests still executes the first cases of each test function, until the cost of these cases reaches a
+time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for tests that run
+in real time. An incomplete test run also executes the cheapest test of each file, if this test
+costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests executes at
+least one test of nearly every file.
 """
 
 import json

@@ -1,6 +1,6 @@
 """Test how the report judges whether a hand has lifted an object.
 
-The result of the report depends on the motion of the table and of the object.
+The report judges a lift by the true motions of the table and of the object.
 """
 
 from dataclasses import replace

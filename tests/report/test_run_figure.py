@@ -58,7 +58,7 @@ def test_a_png_is_written(
 def test_labels_of_axes_are_inside_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: tick labels such as 12.5 pushed the label "tendon tension" out of the picture."""
+    """Reproduce a defect: axis numbers such as 12.5 pushed the label "tendon tension" out of the picture."""
     drawn = []
 
     def save_and_record_figure(figure: Figure, path: Path) -> None:
@@ -127,7 +127,11 @@ def test_all_tensions_are_inside_the_plot(
 def test_every_unit_of_the_digits_is_named(
     drawn_figures: list[Any], hand_name: str, axis_labels: list[str]
 ) -> None:
-    """Reproduce a defect: the angle axis of a finger beside a jaw had no label, so the angle seemed to be in mm."""
+    """Reproduce a defect: the axis for the joint angle of a finger had no label.
+
+    The axis for the joint position of a jaw had a label with the unit mm. Therefore the angle of
+    the finger seemed to be in mm, too.
+    """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})
     draw_run(Path("x.png"), log, hand, None, 0, "t")  # type: ignore[arg-type]

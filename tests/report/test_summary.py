@@ -171,7 +171,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
 
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
-    """Reproduce a defect: for a hold phase named "squeeze", tension error, tip forces and motion were missing."""
+    """Reproduce a defect: for a hold phase named "squeeze", the summary lacked tension error, tip forces and motion."""
     log = log_with_hold_phase()
     log.phases = [
         phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases
@@ -256,10 +256,11 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, the bus inserts stuff bits only in the first 34 + 64 bits.
+    """Compare the bus load of classical CAN frames of 8 bytes with a load that was computed by hand.
 
-    After the first bit, at most one stuff bit is inserted for every four bits. The last 13 bits of
-    the frame get no stuff bits.
+    In a frame with 8 bytes of data, stuff bits occur only in the first 98 bits: 19 bits of header,
+    64 bits of data, and 15 bits of CRC. After the first bit, there is at most one stuff bit for
+    every four bits. The last 13 bits of the frame get no stuff bits.
     """
     log = log_without_faults()
     frame_time_s = (98 + 97 // 4 + 13) / 1e6

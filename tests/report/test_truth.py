@@ -1,4 +1,4 @@
-"""Test the reader of truth files with a complete, a missing, and a shortened file that ends at any byte."""
+"""Test the reader of truth files with complete files, missing files, and files that are cut off after any byte."""
 
 import json
 from pathlib import Path

@@ -43,7 +43,7 @@ class ScriptedHub:
         self._listener.listen()
 
     def accept_client(self) -> socket.socket:
-        """Accept the client, and return the hub's socket of the connection to the client."""
+        """Accept the client, and return the socket through which the hub talks to the client."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)
         return link

@@ -19,7 +19,7 @@ from tests.runtime.processes import (
 
 @pytest.fixture
 def work_folder(tmp_path, monkeypatch):
-    """Change to a folder that contains only two tasks.
+    """Change to a folder that contains only two task files.
 
     The Unix sockets of the processes are in another folder, because the path of a Unix socket must
     be short.

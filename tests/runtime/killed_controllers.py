@@ -50,7 +50,7 @@ RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
 """Watchdog time of the drives in the hand file [ms].
 
-When the watchdog time plus ``TORQUE_DECAY_MS`` is over, no motor is allowed to make torque.
+``TORQUE_DECAY_MS`` after the end of the watchdog time, no motor is allowed to make torque.
 """
 TORQUE_DECAY_MS = 4.0
 """Time that the current of a motor needs to decay after the motor was disabled [ms]."""
@@ -102,7 +102,7 @@ class KillVerdict(NamedTuple):
         had_motor_torque: True if a motor made torque at the time of the signal.
         max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
         min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
-        remaining_tension_N: largest tension after a time in which the fingers could open [N].
+        remaining_tension_N: largest tension after the fingers have had time to open [N].
     """
 
     run: DisturbedRun
@@ -114,15 +114,18 @@ class KillVerdict(NamedTuple):
 
     @property
     def torque_ended_in_time(self) -> bool:
-        """Return True if no motor made torque after the watchdog time of the drives."""
+        """Return True if the torque of all motors ended in time after the signal.
+
+        The time limit is the watchdog time of the drives plus the decay time of the torque.
+        """
         return self.min_torque_off_ms <= WATCHDOG_MS + TORQUE_DECAY_MS
 
     @property
     def has_complete_log(self) -> bool:
         """Return True if the log contains every tick whose SYNC frame was on the bus.
 
-        The last tick is allowed to be missing, because the signal can arrive between the SYNC frame
-        and the recording of the last tick.
+        The last tick is allowed to be missing. SIGKILL or SIGSTOP can arrive after the SYNC frame
+        of a tick, but before the tick is recorded.
         """
         bus_counts = self.run.bus_sync_counts
         log_counts = self.run.log_sync_counts
@@ -134,7 +137,7 @@ class KillVerdict(NamedTuple):
 
 
 class KillTestSetup:
-    """A simulated hand, and the plan of the run with which each controller of the hand starts."""
+    """A simulated hand, and the run plan that every controller of this hand executes."""
 
     def __init__(self, work_folder: Path, time_scale: float) -> None:
         """Start the simulator with a time scale.
@@ -170,7 +173,7 @@ class KillTestSetup:
         )
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the simulated time [ns], and the total delay that the simulator will not catch up [ns]."""
+        """Return the simulated time [ns], and the total time that the late simulator has skipped [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -328,7 +331,7 @@ def read_sync_records(log_path: Path) -> tuple[str, bytes]:
 
 
 def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
-    """Judge how the drives have reacted to the signal in one run."""
+    """Judge how the drives have reacted when the controller of one run was killed or stopped."""
     torque = truth.values[
         :, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]
     ]

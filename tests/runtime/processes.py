@@ -24,8 +24,8 @@ LOCAL_BUS = "local:t"
 TIME_SCALE = 1.0
 """Time scale of simulator and controller.
 
-1 is real time. If the machine is too slow for the time scale, the clock that simulator and
-controller share pauses.
+1 is real time. If the machine is too slow for the time scale, the shared clock of simulator and
+controller pauses.
 """
 SERIAL_NUMBER_BASE = 0x4000
 """Base of the serial numbers of simulated drives.
@@ -118,7 +118,7 @@ def wait_for_phase(
     process: "subprocess.Popen[str]",
     timeout_s: float = 60.0,
 ) -> None:
-    """Wait until a running controller is in a given phase of its program."""
+    """Wait until a running controller has reached a given phase of its task."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         assert process.poll() is None, process.communicate()
@@ -136,7 +136,7 @@ def socket_names() -> list[str]:
 def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
     """Write the calibration of a simulated hand that runs with ``HOMED_HAND_OPTIONS``.
 
-    All tares and zeros in the written calibration are zero.
+    In the written calibration, the load-cell tares and the motor zeros are 0.
     """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(

@@ -2,7 +2,8 @@
 
 The folder for the sockets of handctl is private. A request to the controller counts as done only
 after the controller has confirmed it. A test that needs a second user forks a process, and the
-forked process changes its own user. Without root rights, tests with a second user are skipped.
+forked process switches to the second user. Without root rights, tests with a second user are
+skipped.
 """
 
 import json
@@ -178,7 +179,10 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
 
 @pytest.mark.parametrize("has_run_folder", [False, True])
 def test_a_link_is_refused(shared_tmp, has_run_folder):
-    """If the run directory is a symbolic link, handctl refuses the link, whatever its target and its owner are."""
+    """handctl refuses a run directory that is a symbolic link.
+
+    The owner and the target of the link make no difference.
+    """
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if has_run_folder:
@@ -204,7 +208,7 @@ def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     shared_tmp, short_confirmation_wait
 ):
-    """In this test, an attacker renames the mailbox of a controller and binds another socket to its path.
+    """In this test, an attacker renames a controller's mailbox, and binds another socket to the old path.
 
     Without a protection, the attacker's socket would receive the requests for the hand.
     """

@@ -122,10 +122,10 @@ def test_an_exception_in_the_block_stops_the_hand(
 def test_a_cancelled_start_leaves_no_armed_hand(
     work_folder, hand_truth_file, calibration_options, time_scale_options, wait_s
 ):
-    """Reproduce a defect: after a timeout at ``async with``, the controller still armed the hand.
+    """Reproduce a defect: if the start in ``async with`` timed out, the controller still armed the hand.
 
-    The body of the ``async with`` block had not begun, so nothing closed the client and released
-    the hand.
+    The body of the ``async with`` block had not begun. Therefore the client stayed open, and the
+    hand stayed armed.
     """
 
     async def connect_with_short_timeout():

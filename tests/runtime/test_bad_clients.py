@@ -1,6 +1,6 @@
 """Test in real time how clients that misbehave affect the hand.
 
-The tests check the effects of misbehaving clients with the true values of the simulator.
+The tests check the effects on the hand with the true values from the simulator.
 
 tests/controller/test_target_streams.py contains similar tests in lockstep.
 """

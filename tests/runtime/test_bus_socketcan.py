@@ -150,7 +150,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 ) -> None:
     """The host measures the offset between wall clock and monotonic clock.
 
-    After this measurement, the test sets the wall clock, and Linux stamps a frame.
+    After the host has measured the offset, the test sets the wall clock, and Linux stamps a frame.
     """
     bus, peer_socket = udp_bus
     time.sleep(TIME_STAMP_DELAY_S)
@@ -185,9 +185,9 @@ def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Reproduce a defect: after the first lost frame, every frame of the run was converted separately.
+    """Reproduce a defect: after a frame was lost, the bus converted all later frames one by one.
 
-    The separate conversion of each frame is slow.
+    To convert frames one by one is slower than to convert a batch of frames.
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """

@@ -122,7 +122,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
     A user called ``move`` or ``hold`` with a mapping of digits as the first argument. The client
-    took the mapping for the duration of the motion, and raised the error "no digit".
+    used the mapping as the duration of the motion, and raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
@@ -144,7 +144,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
 
 
 def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
-    """Reproduce a defect: the error message about an unknown space did not name the space ``fingertip``."""
+    """Reproduce a defect: the error message about an invalid option ``space`` did not list the value ``fingertip``."""
     expected_message = (
         "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
     )
@@ -153,7 +153,7 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
 
 
 def test_the_names_of_a_stream_are_a_list(unserved_client):
-    """Reproduce a defect: for a string in place of a list of digit names, the client took each letter as a name.
+    """Reproduce a defect: if a user gave one digit name instead of a list, the client took each letter as a name.
 
     The error message was "no digit 'i'".
     """

@@ -27,7 +27,7 @@ TORQUE_LIMIT_N_M = 0.1
 DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
 DEFECT_TABLE_MARK = "and a row for each defect of `--broken`."
 OPTIONS_WITHOUT_ENDPOINTS = {"torque_feedback": True}
-"""Options of an ODrive on a bench without endpoint numbers."""
+"""Options of an ODrive whose options ``endpoint_*`` are not set."""
 
 
 def check_results(
@@ -57,7 +57,7 @@ def run_checks_three_times(virtual_bench, protocol, drive_options=None):
 
 
 def read_defect_table() -> list[tuple[str, str, str]]:
-    """Return the entries of the table of drive defects in the documentation, as (defect, column, result)."""
+    """Read the table of drive defects in the documentation, and return its entries as (defect, column, result)."""
     text = DRIVES_PAGE.read_text(encoding="utf-8").split(DEFECT_TABLE_MARK)[1].strip()
     table = text.split("\n\n")[0].splitlines()
     head, _, *rows = (
@@ -165,9 +165,9 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
     """Reproduce three defects.
 
     Earlier defect: a CubeMars drive that ignores commands passed all checks. Earlier defect: an
-    ODrive without endpoint options passed although the read-back of its settings was wrong. Earlier
-    defect: an ODrive without endpoint options failed the watchdog check although its watchdog
-    worked.
+    ODrive whose options ``endpoint_*`` are not set passed all checks although it reported wrong
+    settings. Earlier defect: an ODrive whose options ``endpoint_*`` are not set failed the watchdog
+    check although its watchdog worked.
     """
     protocol = protocol_column.split()[0]
     options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
@@ -202,7 +202,11 @@ def test_the_documentation_has_each_defect_of_each_protocol():
     ("protocol", "expected_identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
 )
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
-    """Reproduce a defect: the reason "stays in SILENT" of a failed check did not name the expected frames."""
+    """Reproduce a defect: the result of a check did not name the frames that were missing.
+
+    The check failed, because the motor sent no frames. The reason in the result was "stays in
+    SILENT".
+    """
     checks, _, _ = check_results(protocol, "mute")
     check = checks[FAILED_CHECK["mute"]]
     assert check.reason == f"no reply; expected frames with the identifier {expected_identifier}"
@@ -246,9 +250,10 @@ ENDPOINT_OPTIONS = [key for key in OPTIONS_BY_PROTOCOL["odrive"] if key.startswi
 
 @pytest.mark.parametrize("given_options", [0, 2, 4])
 def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_options):
-    """Reproduce a defect: a good ODrive without endpoint options failed the check of its watchdog.
+    """Reproduce two defects of the checks of a good ODrive whose options ``endpoint_*`` are not set.
 
-    The check of the read-back passed, although handctl reads no setting without endpoint options.
+    The check of the watchdog failed. The check that reads the settings back passed, although
+    handctl can read no setting without the options ``endpoint_*``.
     """
     all_options = OPTIONS_BY_PROTOCOL["odrive"]
     options = OPTIONS_WITHOUT_ENDPOINTS | {
@@ -293,7 +298,7 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
 
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(VERIFIABLE_PROTOCOLS)))
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
-    """Reproduce a defect: a good motor whose protections cannot be read failed the checks of watchdog and CUT."""
+    """Reproduce a defect: a good motor with unreadable protections failed the checks of watchdog and torque cut."""
     virtual_bench = VirtualBench(protocol)
     for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []

@@ -41,8 +41,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
     virtual_bench.send = lambda frames: times.append(virtual_bench.now_ns()) or send(frames)  # type: ignore[method-assign]
     for _ in range(5):
         rig.run_tick(DriveTarget.POLL)
-    # The time before the first tick is the half period that remains after the deadline of the first
-    # tick.
+    # The stall ends half a period after a tick was due. The rig executes this tick at once.
     assert [t_ns // PERIOD_NS for t_ns in times] == [
         first_tick - 1 + missed_ticks + i for i in range(5)
     ]

@@ -1,4 +1,4 @@
-"""Test the findings about a CAN interface, which handctl derives from the output of ``ip``.
+"""Test which problems of a CAN interface handctl finds in the output of ``ip``.
 
 The outputs of ``ip`` in the tests are invented, in the format of iproute2.
 """

@@ -79,7 +79,7 @@ class FakeBus:
 
 @dataclass
 class FakeControllerTick:
-    """A controller tick that does all its work in the step ``command``."""
+    """Fake controller tick, whose method ``command`` executes the whole tick."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
@@ -150,8 +150,8 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 def test_the_warm_up_tick_has_no_effect() -> None:
     """Before the clock starts, the loop runs one tick to warm up.
 
-    The warm-up tick sends and records nothing, and the loop discards the state after the warm-up
-    tick.
+    The warm-up tick sends and records nothing, and the loop discards the state that the warm-up
+    tick returns.
     """
     run = RecordedControlLoop(frames=(Frame(7, b""),))
     run.go()
@@ -314,7 +314,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
 def times_of_polls(
     recorded_loop: RecordedControlLoop, motors_by_poll: list[tuple[str, ...]]
 ) -> list[int]:
-    """Return the times at which a loop polls the drives after a failure [ns].
+    """Return the times [ns] at which a loop polls the drives after a failure.
 
     The loop of this test fails in its third tick. For each poll of the drives, ``motors_by_poll``
     lists the drives that have not confirmed that they are disabled.
@@ -344,8 +344,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
     """Reproduce a defect.
 
     To disable the drives after an error, the loop used the state from before the failed tick. In
-    the state from before the failed tick, a drive that the failed tick had enabled counted as
-    disabled.
+    the state from before the failed tick, a drive counted as disabled even if the failed tick had
+    enabled the drive.
     """
     bus = FakeBus()
     run = RecordedControlLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -530,7 +530,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop stores the lateness of each of its last ticks.
 
-    To store the lateness of all ticks of a day at 500 Hz would take 330 MiB of locked memory.
+    At 500 Hz, the lateness of all ticks of a day would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = RecordedControlLoop(200, clock=ScriptedClock(list(range(200))))

@@ -1,8 +1,8 @@
 """Test a client that dies or hangs while the hand holds a tension that this client has requested.
 
-A client must regularly renew the lease of the hand, a right with a time limit. The hand must relax
-when the lease of the lost client has ended. The test checks the tensions in the truth file of the
-simulator.
+The client must regularly renew its lease: an expiring permission to command the hand. The hand must
+relax when the lease of the lost client has ended. The test checks the tensions in the truth file of
+the simulator.
 """
 
 import re
@@ -50,7 +50,7 @@ def start_holding_client(**connect_options):
 def wait_for_run_end(client, timeout_s):
     """Wait until the run ends, and return the reason why it ended.
 
-    The wait takes at most ``timeout_s`` on the clock of the hand.
+    The function waits for at most ``timeout_s`` seconds in the time of the hand.
     """
     start = client.observe().t_s
     try:
@@ -114,9 +114,9 @@ def test_a_lost_client_makes_the_hand_relax(
 def test_a_program_that_waits_keeps_its_hold(
     work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    """While a program waits, a thread of the client renews the lease of the hand (a right with a time limit).
+    """While a program waits, a thread of its client renews the lease (an expiring permission to command the hand).
 
-    A client that has no lease sends no signs of life to the controller.
+    A client without a lease sends no signs of life (requests that renew a lease) to the controller.
     """
     factor = float(time_scale_options[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
@@ -149,9 +149,10 @@ def test_a_wrong_lease_is_one_line(request_options, expected_message):
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
-    """If a program does not call its client for too long, a watchdog in the client ends the signs of life.
+    """If a program does not call its client for too long, a watchdog in the client stops the signs of life.
 
-    The next call of the client by the program starts the signs of life again.
+    A sign of life is a request that renews the client's lease. When the program calls the client
+    again, the client sends signs of life again.
     """
     box = Mailbox("local:beats")
     heartbeat_sender = Heartbeat("local:beats", "one", 0.01, 0.15)

@@ -129,7 +129,9 @@ def test_a_record_comes_back_with_every_field() -> None:
 
 @pytest.mark.parametrize("attribute_name", ["jamia", "n_plus_1"])
 def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> None:
-    """Reproduce a defect: ``copy.copy`` and ``pickle`` ended in a RecursionError, and ``dir`` left out all fields.
+    """Reproduce a defect: ``copy.copy`` and ``pickle`` of an observation raised a RecursionError.
+
+    ``dir`` left out all fields of the observation.
 
     Programs put observations into queues between processes, and notebooks complete names with
     ``dir``.
@@ -253,7 +255,8 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     """If too many targets arrive at the socket for streams, the next tick gets the newest targets.
 
-    Requests such as a stop use another socket, so the flood of targets does not delay them.
+    Requests such as a stop use another socket, so the flood of targets does not delay these
+    requests.
     """
     box, mail = TargetReceiver("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0

@@ -19,7 +19,7 @@ CPU_LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == pare
 
 
 def readme_blocks(language: str, *required_texts: str) -> list[str]:
-    """Return the code blocks of the README in a given language that contain all given texts."""
+    """Return the README's code blocks in a given language that contain all given texts."""
     texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
     return [block for block in texts if all(text in block for text in required_texts)]
 

@@ -1,4 +1,7 @@
-"""Test the rehearsal: shortly before a deadline, the clock executes the beginning of the last tick again."""
+"""Test the rehearsal of ticks.
+
+Shortly before a tick is due, the clock executes the beginning of the previous tick again.
+"""
 
 import time
 from collections.abc import Iterator

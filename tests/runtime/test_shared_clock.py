@@ -1,6 +1,7 @@
 """Test the clock that controller and simulator share.
 
-The tests cover pauses of the shared clock, and the time that the simulator reads from it.
+The tests cover pauses of the shared clock, and the time that the simulator reads from the shared
+clock.
 """
 
 import random

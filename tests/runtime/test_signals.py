@@ -1,6 +1,6 @@
 """Signals that an operator or a terminal sends become requests to the control loop.
 
-No signal of the operator is lost. At its end, a run restores the old signal handlers.
+No signal of the operator is lost. When a run ends, the run restores the old signal handlers.
 """
 
 import os

@@ -103,7 +103,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 
 @REALTIME_MARK
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
-    """Reproduce a defect: a move that another client had stopped counted as complete.
+    """Reproduce a defect: if another client stopped a move, the move counted as complete.
 
     The call that had started the stopped move returned without an error.
     """
@@ -196,7 +196,7 @@ def test_every_watcher_gets_its_lines(work_folder):
 
 @pytest.fixture
 def fake_stream(work_folder):
-    """Return a stream of two angles [rad], and the list of the targets that it has sent [deg]."""
+    """Return a stream that takes two angles [rad], and the list of the targets that the stream has sent [deg]."""
     from handctl.client.stream import TargetStream
 
     class FakeTargetSender:

@@ -13,7 +13,7 @@ from tests.runtime.processes import LOCAL_BUS, make_time_scale_options, run_hand
 
 @pytest.fixture
 def hand_at_slow_time_scale(work_folder, started_processes):
-    """Start a simulated hand at 0.3 of real time."""
+    """Start a simulated hand whose time runs at 0.3 times real time."""
     started_processes.append(
         start_hand(work_folder / "truth", "--hand", "jamia", *make_time_scale_options(0.3))
     )

@@ -49,9 +49,9 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    ``state_values`` contains the values of the state that differ from a hand at rest. It maps the
-    name of a field to a dictionary from an index to a number. The input contains events of the
-    buses and of the host, too.
+    ``state_values`` contains the values of the state that differ from a hand at rest. For each
+    changed field, ``state_values`` contains a dictionary from an index to a number. The input
+    contains events of the buses and of the host, too.
     """
 
     state_values: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -68,9 +68,9 @@ class FaultCase(NamedTuple):
         input_with_fault: input that shows the fault.
         input_below_limit: input that is just below the limit of the fault.
         faulty_part: name of the part of the hand that has the fault.
-        debounce: number of ticks with the fault until it is reported.
+        debounce_ticks: number of ticks with the fault until the fault is reported.
         action: action that the fault demands.
-        latched: True if only an operator can clear the fault.
+        is_latched: True if only an operator can clear the fault.
         is_found_only_while_armed: True if the fault is reported only while a drive is armed.
     """
 
@@ -84,7 +84,7 @@ class FaultCase(NamedTuple):
 
 
 def state_input(**values_by_field: object) -> TickInput:
-    """Return an input of the safety monitor in which the state has given values.
+    """Return an input of the safety monitor, with the given values in the named fields of the state.
 
     If a field of the state applies to the whole run, its value is a single number. The value of any
     other field is a dictionary from an index to a number.
@@ -95,7 +95,7 @@ def state_input(**values_by_field: object) -> TickInput:
 
 
 def frame_ages(field: str, **age_by_node: int) -> TickInput:
-    """Return an input with old frames.
+    """Return an input in which the latest frames of the named nodes are some ticks old.
 
     Each keyword is the name of a node. The value of the keyword is the age of the latest frame of
     the node [ticks]. Examples of keywords are m1=... for motor 1, t1=... for load cell 1, and
@@ -195,7 +195,10 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def input_without_torque(tick_input: TickInput) -> TickInput:
-    """Return a copy of an input in which the mode is READY. In the mode READY, the hand can be armed."""
+    """Copy an input, and set the mode of the hand to READY in the copy.
+
+    In the mode READY, the hand is not armed yet, but can be armed.
+    """
     return TickInput(
         {**tick_input.state_values, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )
@@ -251,8 +254,8 @@ def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     """Return an input with repeated load-cell readings.
 
-    Each of the last ``repeated_readings`` readings of the load cell equals its reading of 16 ticks
-    earlier.
+    Each of the last ``repeated_readings`` readings of the load cell equals the reading 16 ticks
+    before it.
     """
     past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_input(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
@@ -441,7 +444,8 @@ def monitor_at_rest() -> SyntheticMonitor:
 def reset_monitor_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateValues:
     """Reset a monitor to a hand at rest.
 
-    Return the state values of ``tick_input``, which the caller must set before one tick.
+    Return the state values of ``tick_input``. The caller must give these values to the next tick of
+    the monitor.
     """
     monitor.reset_to_rest()
     return dict(tick_input.state_values)

@@ -58,7 +58,7 @@ StateValues = dict[str, Any]
 
 
 def synthetic_limits(tendon_count: int) -> SafetyLimits:
-    """Return limits of a generated hand with the tendons t0, t1, ...
+    """Return the safety limits of a generated hand with the tendons t0, t1, ...
 
     Each tendon of the generated hand has one motor and one joint.
     """
@@ -80,8 +80,9 @@ class SyntheticMonitor:
 
     Attributes:
         limits: names of the parts of the hand, and thresholds of the faults of the hand.
-        layout, block: layout and block of the state. constants_layout, constants: layout and block
-            of the constants. Tests can change the constants.
+        layout, block: layout of the state, and the array with all values of the state.
+        constants_layout, constants: layout of the constants, and the array with all constants.
+            Tests can change the constants.
         latched, reported_faults: faults that are latched, and faults that were reported, in the
             form that ``safety.tick_verdict`` uses.
     """
@@ -132,7 +133,7 @@ class SyntheticMonitor:
         self.block_at_rest = self.block.copy()
 
     def replace_limits(self, limits: SafetyLimits) -> None:
-        """Replace the part names and the fault thresholds of the hand from the next tick on."""
+        """Replace the names of the hand's parts and the fault thresholds, starting with the next tick."""
         self.limits = limits
         self.set_constants(
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.max_position_noise,
@@ -143,12 +144,12 @@ class SyntheticMonitor:
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:
-        """Set constants of the hand by the name of their field."""
+        """Set constants of the hand that are given by field name."""
         for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
     def set_state_values(self, value_by_field: StateValues) -> None:
-        """Set values of the state by the name of their field."""
+        """Set values of the state that are given by field name."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
                 for index, element in value.items():
@@ -176,12 +177,12 @@ class SyntheticMonitor:
 
     @property
     def state_tables(self) -> StateTables:
-        """Return the tables of the state in the form that interpreted functions need."""
+        """Return the tables of the state for functions that run as Python code without compilation."""
         return _uncompiled_helper(state_tables)(self.block, self.layout.offsets)
 
     @property
     def hand_tables(self) -> ConstantTables:
-        """Return the tables of the constants in the form that interpreted functions need."""
+        """Return the tables of the constants for functions that run as Python code without compilation."""
         return _uncompiled_helper(constant_tables)(self.constants, self.constants_layout.offsets)
 
     def tick(
@@ -212,7 +213,7 @@ class SyntheticMonitor:
     def observe_readings(self, value_by_field: StateValues | None = None) -> None:
         """Convert received values to measurements, and reject impossible positions.
 
-        A tick of a run makes this conversion before the detectors run.
+        In a run, each tick converts the received values before the detectors run.
         """
         self.set_state_values(value_by_field or {})
         tick_stages.observe_tick(

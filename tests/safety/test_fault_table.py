@@ -54,7 +54,10 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 def judge_ticks(
     *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[TickVerdict]]:
-    """Judge several ticks one after the other. Return the monitor and its verdict on each tick."""
+    """Let the safety monitor judge several ticks in a row.
+
+    Return the monitor and its verdict on each tick.
+    """
     monitor = monitor or monitor_at_rest()
     return monitor, [
         monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
@@ -65,7 +68,7 @@ def judge_ticks(
 def check_fault_alone(
     fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks, and evaluate only the fault ``fault_id``.
+    """Let the safety monitor judge several ticks, and evaluate only the fault ``fault_id``.
 
     Return the monitor after the judged ticks, the action that the monitor demands in each tick, and
     the findings that the monitor reports.
@@ -115,7 +118,10 @@ def test_a_fault_counts_after_its_ticks_and_is_reported_once(fault_id: str) -> N
 
 
 def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
-    """Reproduce a defect: the threshold of the fault N14 was 15 N even for a drive with a limit of 60 N."""
+    """Reproduce a defect: for weak drives, the threshold of the fault N14 (a command is not obeyed) was too high.
+
+    The threshold was 15 N even for a drive with a limit of 60 N.
+    """
     tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
     _, _, reported = check_fault_alone("N14", tick)
     assert reported == [("N14", "m1")]
@@ -320,7 +326,8 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     In the first tick, the input is just below the limit of the fault. In the following ticks, the
     fault is present. In the last tick, the hand is at rest without the fault.
 
-    Interpreted code debounces the fault: a fault counts only after some ticks in a row.
+    The debouncing runs as Python code, without compilation. With debouncing, a fault counts only
+    after some ticks in a row.
     """
     case, monitor, actions_and_counts = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
@@ -376,9 +383,9 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
-    """If any value in the declaration of a fault is changed by one step, test cases of the fault fail.
+    """Change each value in the declaration of a fault by one step, and check that the fault is then judged differently.
 
-    The failed test cases show that they notice wrong declarations.
+    If the judgement differs, the test cases of the fault notice a wrong declaration.
     """
     fault = FAULT_BY_ID[fault_id]
     other_clearing = CLEARED_BY_ITSELF if fault.is_latched else CLEARED_BY_OPERATOR

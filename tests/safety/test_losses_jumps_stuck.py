@@ -205,7 +205,7 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class PositionJumpMonitor(SyntheticMonitor):
-    """Motors with a safety monitor that checks their reported positions for jumps.
+    """Motors, and a safety monitor that checks the reported motor positions for jumps.
 
     Each motor has its own largest permitted change of the position in a control period [rad].
     """
@@ -294,8 +294,8 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     # In the test cases, the change between two positions is given in units of the largest change
     # that one control period allows. In the expected results, the number 1 marks a jump. The first
     # reading after missed ticks is the reply to a request from before or from after the missed
-    # ticks. If it is a reply to an earlier request, the second reading comes from a time that is
-    # later by the missed ticks.
+    # ticks. If the first reading is the reply to a request from before the missed ticks, the missed
+    # ticks lie between the first and the second reading.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
@@ -334,8 +334,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return three values: the number of ticks since the last change of the encoder reading, and the
-    changes of target and tension since that tick.
+    Return the number of ticks since the last change of the encoder reading. Also return how much
+    the target and the tension have changed since the last change of the encoder reading.
     """
     rows: StateValues = {
         "measured_position": motor_position,

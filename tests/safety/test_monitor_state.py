@@ -194,7 +194,7 @@ def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
     In this test, friction can cause a residual of up to 3 N. At a tension of 20 N, the 10 %
-    tolerance of the torque constant can cause 2 N more.
+    tolerance of the torque constant can add 2 N to the residual.
     """
     monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
@@ -215,7 +215,10 @@ def test_lasting_residual_is_a_fault(tension, expected_residual):
     ],
 )
 def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_reported):
-    """Without a load cell, the limit of a missing force is 6 N plus a quarter of the command, but at most 15 N."""
+    """Without a load cell, the limit for the difference between commanded and reported force depends on the command.
+
+    The limit is 6 N plus a quarter of the commanded force, but at most 15 N.
+    """
     monitor = monitor_at_20_newton(asked=commanded_force_N, wanted=commanded_force_N)
     monitor.set_constants(cell_group=[-1, -1])
     _, findings = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
@@ -228,8 +231,8 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
 def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported):
     """The monitor reports a fault if the friction exceeds the modelled friction by more than a limit for some seconds.
 
-    In this test, the limit is 3 N plus 2.9 N. The 2.9 N are the tolerance of the torque constant:
-    10 % of the motor force of 29 N.
+    In this test, the limit is 3 N plus 10 % of the motor force of 29 N, which is 5.9 N. The 10 %
+    are the tolerance of the torque constant.
     """
     monitor = run_ticks(30)[0]
     monitor.set_state_values({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
@@ -269,7 +272,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg corresponds to 1.05 mm.
 
-    The limit of 15 deg between joint and spool applies to unfiltered readings.
+    The limit of 15 deg for the difference between joint and spool applies to unfiltered readings.
     """
 
     def findings_after_slip(deg):
@@ -307,7 +310,7 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
 TICKS_PER_JOINT_READING = 4
 """Number of ticks from one joint reading to the next.
 
-A slow bus possibly cannot transmit more joint readings.
+A slow bus is possibly not able to transmit joint readings more often.
 """
 
 
@@ -495,7 +498,10 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """Tendon b moves joint b. If tendon a is slack, the check of joint b against its tendon does not change."""
+    """Tendon b moves joint b.
+
+    Even if tendon a is slack, the angle of joint b is still compared with tendon b.
+    """
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -523,8 +529,9 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    The reading with the motion of five ticks arrives in the first tick after the gap. If the reply
-    of the drive is one tick late, this reading arrives in the second tick after the gap.
+    If the reply of the drive is in time, the reading with the motion of five ticks arrives in the
+    first tick after the gap. If the reply is one tick late, the reading arrives in the second tick
+    after the gap.
     """
 
     def noise_and_balance_after_gap(missed_ticks):

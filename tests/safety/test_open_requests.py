@@ -1,4 +1,4 @@
-"""Test the requests to drives that have no reply yet.
+"""Test the record of requests that the drives have not answered yet.
 
 A reply to an open request can be late, but it is no duplicate. A reply without any request is a
 duplicate.

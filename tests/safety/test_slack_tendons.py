@@ -51,7 +51,7 @@ class FilteredTensionMonitor(SyntheticMonitor):
     def run_tick_after_cut(self, tension: TensionList, **value_by_field: Any) -> dict[str, float]:
         """Run a tick with load-cell readings after the motors were disabled.
 
-        Return the tendons that a motor still pulls.
+        Return the tendons that a motor still pulls, each with its tension or force [N].
         """
         return self.tick(measured_tension=tension, mode=int(HandMode.CUT), **value_by_field).get(
             "N16", {}
@@ -121,10 +121,10 @@ def test_slack_is_reported_by_name_and_in_seconds():
 def test_a_snapped_tendon_is_detected(
     ticks_since_taut, cell_tension_N, commanded_tension_N, spool_speed, is_detected
 ):
-    """In this test, one tendon is neither slack nor taut.
+    """In this test, the first tendon of a digit is taut, and the second tendon can be neither slack nor taut.
 
-    For such a tendon, the count of ticks since it was taut continues. The other tendon of the digit
-    is taut.
+    If a tendon is neither slack nor taut, the detector continues to count the ticks since the
+    tendon was last taut.
     """
     tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
@@ -156,8 +156,9 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
 ):
     """During a grasp, the extensor tendon of a digit has a small commanded tension.
 
-    Reproduce a defect: when an extensor snapped, its tension loop kept the spool slower than 0.03
-    m/s. The slow spool hid the fault T01 (a tendon snapped).
+    Reproduce a defect: for a snapped extensor, the fault T01 (a tendon snapped) was not reported.
+    The detector required a spool speed of more than 0.03 m/s, but the tension loop kept the spool
+    slower.
     """
 
     def is_snapped(spool_speed):
@@ -221,8 +222,8 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
-    (50, 30.0, 14.9, False),          # the tension has fallen below half of its value before the CUT
-    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half of its value before the CUT
+    (50, 30.0, 14.9, False),          # the tension has fallen below half of the value before disabling
+    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half of the value before disabling
     (50, 10.0, 10.0, False),          # the tension is no more than springs and weight cause
     (50, 10.1, 10.1, True),
     (50, 5.0, 40.0, True),            # the tension has grown
@@ -234,8 +235,8 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 ):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    If there is no reading from before the motors were disabled, the detector compares with the
-    first reading after that.
+    If no reading exists from the time before the motors were disabled, the detector uses the first
+    reading after this time.
     """
     tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
@@ -257,11 +258,11 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    With the hand jamia11, the controller reported the fault N16 (a drive does not release) at the
-    end of a run although every drive had released. The springs of a digit accelerated the rotor of
+    At the end of a run with the hand jamia11, the controller reported the fault N16 (a drive does
+    not release), although every drive had released. The springs of a digit accelerated the rotor of
     a released tendon, and the tension stayed at 10 N during the acceleration. An earlier version of
-    the detector used the estimated speed of the spool to avoid this false alarm. With the hand t42
-    and ODrive drives, the speed estimate hid a motor that did not release.
+    the detector used the estimated speed of the spool to avoid false alarms. With the hand t42 and
+    ODrive drives, the earlier version of the detector overlooked a motor that did not release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTensionMonitor(
@@ -306,10 +307,11 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     cell_group, force_before_cut, present_force, is_detected
 ):
-    """The controller detects a disabled drive that keeps its torque from the torque in the reports of the drive.
+    """If a drive keeps its torque after it was disabled, the controller detects this fault from the reported torque.
 
-    Reproduce two defects. The fault N16 (a drive does not release) was not reported for a tendon
-    without load cell. With a load cell, N16 was not reported for a drive that kept a force of 9 N.
+    Reproduce two defects. For a tendon without a load cell, the fault N16 (a drive does not
+    release) was never reported. For a tendon with a load cell, N16 was not reported if the drive
+    kept a force of 9 N.
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(cell_group=cell_group)
@@ -326,8 +328,9 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque, so a disabled AK70-10 reports a torque that
-    corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not release).
+    The torque reports of a CubeMars AK70-10 have no code for zero torque. Therefore a disabled
+    AK70-10 reports a torque that corresponds to a tendon force of 1.2 N. The reported torque caused
+    the fault N16 (a drive does not release).
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(torque_step=torque_step_N)

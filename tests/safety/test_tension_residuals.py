@@ -158,15 +158,19 @@ def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
 ) -> None:
     """The output of the filter reaches 63 % of a tension step after 20 ms.
 
-    Friction explains 3 N of the tension, and the tolerance of the motor explains 1.5 N. A tension
-    that is too small does not count as excess tension.
+    Friction explains 3 N of the tension, and the tolerance of the torque constant explains 1.5 N. A
+    tension that is too small does not count as excess tension.
     """
     state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found
 
 
 def test_the_reading_of_a_saturated_load_cell_is_no_excess_tension() -> None:
-    """If a saturated reading were excess tension, T04b would be reported before T06 (a load cell is saturated)."""
+    """A saturated load-cell reading does not count as excess tension.
+
+    Otherwise, the fault T04b (a load cell is wrong) would be reported before the fault T06 (a load
+    cell is saturated).
+    """
     rotor = MotorWithTendon(saturated=1)
     for _ in range(10):
         rotor.run_tick(250.0, 24.0)
@@ -200,9 +204,9 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 
 
 def test_missing_torque_is_detected():
-    """If 39 N of the motor force are missing, the limit of a fault is exceeded within 20 ticks.
+    """If the motor force is 39 N below the command, the limit of a fault is exceeded within 20 ticks.
 
-    A missing force of 14.9 N does not exceed the limit of any fault.
+    If the motor force is 14.9 N below the command, no limit is exceeded.
     """
     state = residuals_after(
         20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 39.0

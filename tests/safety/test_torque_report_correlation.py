@@ -221,9 +221,9 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
 
 
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
-    """If 9 N of the motor force are missing, the fault is detected within 60 ms.
+    """If a drive makes no force although 9 N are commanded, the fault is detected within 60 ms.
 
-    Earlier defect: with the hand orca_like, the detection of the missing force took 280 ms.
+    Earlier defect: with the hand orca_like, the detection of a drive without force took 280 ms.
     """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
@@ -255,7 +255,7 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
-    """In this test, the motor current lags by 4 ms, and the torque constant is 15 % too low."""
+    """In this test, the motor current lags behind its command by 4 ms, and the torque constant is 15 % too low."""
     commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICK_COUNT) // 50 % 2)[:, None] * np.ones(2)
     torque_reports = np.zeros_like(commanded)
     for k in range(1, COMMAND_TICK_COUNT):

@@ -56,7 +56,7 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The design can lower the force weight of a heavy digit so that its control loop stays stable.
+    """The design can lower the force weight of a heavy digit so that the digit's control loop stays stable.
 
     The force weight of the heavy digit does not change the force weights of other digits.
     """

@@ -1,4 +1,4 @@
-"""Test the identification of hands whose parameters differ from their hand file."""
+"""Test the identification of hands whose parameters differ from those in the hand file."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -223,10 +223,10 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The hand model, and the centre of the ensemble of simulated hands, use the identified parameters.
+    """The hand model uses the identified parameters, and the hands of the ensemble vary around the hand model.
 
-    The tuned gains keep the identity of the hand file. It differs from the identity of a hand with
-    identified parameters.
+    The tuned gains refer to the hand file by its identity (a hash of its content). A hand with
+    identified parameters has another identity than the hand file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(

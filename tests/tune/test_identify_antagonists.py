@@ -45,7 +45,7 @@ The limit for a single parameter is lower, because a single parameter has only 4
 this test.
 """
 COMMON_PAIR_PARAMETERS = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
-"""Parameters that can be identified for every pair of tendons on one motor in the packaged hand."""
+"""Parameters that must be identified for every tendon of a digit without springs."""
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,9 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 @pytest.mark.parametrize("knee_N", [200.0, 14.0, 6.0])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
 def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: float) -> None:
-    """The first tendon is stretched by s + x, and the second by s - x, where s is the stretch by the pretension.
+    """If a pair of tendons has the stretch x, the first tendon is stretched by s + x, and the second by s - x.
+
+    The pretension causes the stretch s of both tendons.
 
     If the stiffness is multiplied by a factor, all stretches are divided by this factor.
     """

@@ -53,7 +53,7 @@ def test_the_linear_controller_predicts_the_running_one(
 def test_a_tick_acts_on_the_samples_of_the_tick_before(
     jamia: HandModel, loop_kind: LoopKind
 ) -> None:
-    """Compare the impulse responses of the open loop and of a simulation.
+    """Compare the impulse response of the open-loop model with a simulation of plant and controller.
 
     On the bus, a tick of the controller gets the sensor samples of the previous tick. The
     simulation advances plant and controller in the same order.
@@ -122,7 +122,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
-    """After a step of the force by 1 N, the controller brings the tension back to its goal.
+    """After a step of the disturbance force by 1 N, the controller brings the tension back to its goal.
 
     Without a controller, the tension would stay 1 N away from its goal after the force step.
     """

@@ -1,6 +1,8 @@
-"""Test the scores of gains with a simulated hand that differs from its hand file.
+"""Test the scores of gains.
 
-Even with very bad gains, the simulated motion that is scored runs to its end.
+The gains are scored with a simulated hand that differs from its hand file.
+
+Even with very bad gains, the scored motion is simulated to its end.
 """
 
 import json
@@ -19,10 +21,10 @@ from handctl.tune.search.ensemble import sample_ensemble
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
-    """Reproduce a defect: a motor had stopped 0.4 mm before its travel goal.
+    """Reproduce a defect: the controller reported the fault N04 (an encoder is stuck) although no encoder was stuck.
 
-    After the stop of the motor, the filtered goal continued to move. Because the goal moved without
-    the motor, the controller reported the fault N04 (an encoder is stuck) after 2.5 s.
+    A motor had stopped 0.4 mm before its travel goal, while the filtered goal continued to move.
+    Because the goal moved without the motor, the controller reported N04 after 2.5 s.
     """
     hand = load_hand("jamia")
     score = score_exercise(
@@ -57,7 +59,7 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
 def test_digits_that_touch_each_other_are_not_scored(
     tmp_path: Path, link_lengths_mm: str, seed: int
 ) -> None:
-    """Reproduce a defect: two digits blocked each other, but the scoring reported a tracking error.
+    """Reproduce a defect: when two digits blocked each other, the scoring reported only a tracking error.
 
     The tracking error of the blocked digits was 6 to 8 deg.
     """

@@ -205,8 +205,8 @@ def test_search_resumes_from_a_truncated_journal(
 ) -> None:
     """In this test, the journal of a search is cut off in the middle of a line.
 
-    In some test cases, the journal ends within the random trials. In other test cases, the journal
-    ends within the later trials, which the sampler has chosen.
+    A search begins with random trials, and the sampler chooses the later trials. Depending on the
+    test case, the journal ends among the random trials or among the trials of the sampler.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)

@@ -69,7 +69,8 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
     """A parameter on which the data do not depend keeps the standard deviation of its prior.
 
-    Earlier defect: if a digit had hardly moved, the fit of its data caused an overflow warning.
+    Earlier defect: if a digit had hardly moved, the fit of the digit's data caused an overflow
+    warning.
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):

@@ -91,7 +91,7 @@ TOUCHING_DIGIT_CASES = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "6
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     tmp_path: Path, finger_count: str, link_lengths_mm: str, tendon_choice: str
 ) -> None:
-    """Reproduce a defect: two digits blocked each other, but handctl reported a tracking error.
+    """Reproduce a defect: when two digits blocked each other, handctl reported only a tracking error.
 
     The digits met near 17 deg, and the reported tracking error was 20 deg.
     """

@@ -130,7 +130,10 @@ def client_python_path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def _client_variables(client_python_path: Path) -> dict[str, str]:
-    """Return the environment variables that a client needs. The package odrive loads libusb by its file name."""
+    """Return the environment variables that a client needs.
+
+    The package odrive loads the library libusb by the file name of the library.
+    """
     code = "import libusb_package; print(libusb_package.get_library_path())"
     result = subprocess.run(
         [str(client_python_path), "-c", code], capture_output=True, text=True, check=False

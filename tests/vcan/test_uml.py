@@ -23,9 +23,10 @@ def _require_guest() -> None:
 
 
 def guest_processes(folder: str) -> list[int]:
-    """Return the processes whose command lines contain the name of a folder.
+    """Return the process ids of a running guest system.
 
-    The returned processes belong to a running guest system.
+    The function finds the processes by the name of the guest system's folder in their command
+    lines.
     """
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):

@@ -168,10 +168,10 @@ def _run_in_guest(job: Path, timeout_s: float, print_line: Callable[[str], None]
 def _pin_to_one_core() -> Iterator[None]:
     """Keep the child processes of the present thread on one core.
 
-    The next guest system runs on the next core. On the host, a guest consists of two processes that
-    run alternately: the Linux kernel of the guest, and a program in the guest. To wake a process on
-    another core takes five times as long as on the same core. With both processes on one core, a
-    system call of the guest takes 20 us instead of 100 us.
+    Each new guest system gets the next core in turn. On the host, a guest consists of two processes
+    that run alternately: the Linux kernel of the guest, and a program in the guest. To wake a
+    process on another core takes five times as long as on the same core. With both processes on one
+    core, a system call of the guest takes 20 us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
@@ -207,11 +207,11 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _command_prefix_for_amx(job: Path) -> list[str]:
-    """Return the words that the guest system needs in front of its command on a processor with AMX registers.
+    """Return the command prefix that the guest system needs on a processor with AMX registers.
 
-    User-mode Linux alone does not save the AMX registers of a processor. The returned words load a
-    library with which user-mode Linux can run on a processor with AMX. On a processor without AMX,
-    the returned list is empty.
+    User-mode Linux alone does not save the AMX registers of a processor. The prefix loads a library
+    with which user-mode Linux can run on a processor with AMX. On a processor without AMX, the
+    returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"

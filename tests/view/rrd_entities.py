@@ -17,7 +17,8 @@ class RecordingEntity(NamedTuple):
     """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: run time of each row [ns]. For a static entity, the array of times is empty.
+        times: time of each row in the time of the run [ns]. For a static entity, the array of times
+            is empty.
         rows: values of each component in all rows, by the name of the component.
         static_values: constant value of each static component, by the name of the component.
     """
@@ -73,6 +74,6 @@ def entities_of_file(recording_path: Path) -> dict[str, RecordingEntity]:
 
 
 def run_info_of(log_path: Path) -> RunInfo:
-    """Return the data about the run and the hand that the viewer reads from the header of a log."""
+    """Read the header of a log, and return the data that the viewer needs about the run and the hand."""
     with RunLog(log_path) as log:
         return RunInfo.from_header(log.header, log_path.stem)

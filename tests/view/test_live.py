@@ -40,7 +40,7 @@ def viewer_url(live_view_process: "subprocess.Popen[bytes]") -> str:
 
 
 def latest_received_ns(client: "ViewerClient") -> int:
-    """Return the latest run time of the data that the viewer has received [ns]."""
+    """Return the time of the latest data that the viewer has received, in the time of the run [ns]."""
     return timeline_end(client.get_state(), RUN_TIME_TIMELINE)
 
 

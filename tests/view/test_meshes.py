@@ -1,7 +1,7 @@
 """Test the meshes in a Rerun recording.
 
-The viewer draws a link that has a mesh as the mesh instead of a capsule, with the right pose, scale
-and colour.
+If a link has a mesh, the viewer draws the mesh instead of a capsule, with the right pose, scale and
+colour.
 """
 
 from pathlib import Path

@@ -110,8 +110,7 @@ def test_viewer_ignores_streams_of_other_programs(
 
     A new viewer must not show the data of the other program.
 
-    Earlier defect: the new viewer showed the data of the other program. The new viewer did not show
-    its own views.
+    Earlier defect: the new viewer showed the data of the other program instead of its own views.
     """
     running, client = viewer_without_layout
     assert not running.url.endswith(":9876/proxy"), (

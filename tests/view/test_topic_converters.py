@@ -64,7 +64,7 @@ def test_tension_has_its_band_and_command(
 def test_a_distant_limit_is_not_drawn(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    """Reproduce a defect: a plot showed the tension limit of 110 N, so tensions of 30 N filled only a third of it."""
+    """Reproduce a defect: a plot showed the limit of 110 N, so tensions of 30 N filled only a third of the plot."""
     largest = float(np.nanmax(run_log.field("tension")))
     assert largest < 0.6 * 110.0
     limit = recorded_entities.get("/tension/limit")

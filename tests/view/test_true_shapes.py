@@ -39,10 +39,7 @@ def make_truth_record(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> 
 
 
 def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
-    """Return the viewer's entities for object and table of a run.
-
-    The truth record of the run is ``truth``.
-    """
+    """Return the viewer's entities for object and table of a run with the truth record ``truth``."""
     run = run_info_of(log_path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}

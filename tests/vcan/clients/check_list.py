@@ -1,4 +1,7 @@
-"""Count the checks of a client program. The module ``check_list`` needs only the standard library."""
+"""Print the result of each check of a client program, and collect the failed checks.
+
+The module ``check_list`` needs only the standard library.
+"""
 
 import sys
 import time
@@ -20,7 +23,7 @@ class CheckList:
         self.failed: list[str] = []
 
     def check(self, check_name: str, has_passed: bool, observed_value: object = "") -> None:
-        """Report a check in one line.
+        """Print the result of a check in one line.
 
         Args:
             check_name: the property that is checked.
@@ -57,7 +60,7 @@ class CheckList:
     def check_raises(
         self, check_name: str, action: Callable[[], object], expected_text: str
     ) -> None:
-        """Report a check that passes if an action raises an error whose message contains a text."""
+        """Execute an action, and report the check as passed if the action raises an error with a given text."""
         try:
             action()
         except Exception as error:  # noqa: BLE001 - each client has errors of its own

@@ -146,7 +146,7 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_watchdog(checks: CheckList) -> None:
-    """Set the watchdog of a motor, and wait until the watchdog fires.
+    """Set the watchdog time of a motor, and wait until the watchdog fires.
 
     Let i2rt enable the motor again. Before the motor can be enabled, i2rt must clear the error of
     the motor.
@@ -176,9 +176,9 @@ def check_watchdog(checks: CheckList) -> None:
     finally:
         client.close()
     # The client sends the command that clears an error three times, and reads only one of the three
-    # replies. The client would take the other two replies for replies to later commands, so it gets
-    # a new socket. Even on the new socket, a late reply can arrive, so the test reads the motor
-    # state until it is the expected state.
+    # replies. The client would treat the other two replies as replies to later commands, so the test
+    # gives the client a new socket. Even on the new socket, a late reply can arrive, so the test
+    # reads the motor state until the state is the expected one.
     client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
 
     def state() -> str:

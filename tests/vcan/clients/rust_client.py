@@ -36,7 +36,7 @@ def make_robot() -> Any:
 
 
 def command_rows(*columns: Any) -> Any:
-    """Return an array with the commands of all motors, in which each motor has one row.
+    """Return an array of commands with one row per motor.
 
     The caller gives each column as one number for all motors, or as one number for each motor.
     """

@@ -1,4 +1,4 @@
-"""A hand on real SocketCAN repeats a recorded grasp with equal angles and equal tensions."""
+"""On real SocketCAN, a hand repeats a recorded grasp with the angles and tensions of the record."""
 
 import datetime
 import json

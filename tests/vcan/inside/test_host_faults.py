@@ -33,14 +33,14 @@ from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGIT_NAMES, PULL_N, RATE_HZ, simulated_hand_process
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
-"""Numbers of two requests to Linux, and the flag of an interface that is up.
+"""Numbers of two ioctl requests of Linux, and the flag of a network interface that is up.
 
 Source: Linux ``sockios.h`` and ``if.h``.
 """
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
-"""Time from the start of a tendon pull to the fault [s], and planned time of the pull after the fault [s]."""
+"""Time from the start of a tendon pull to the fault [s], and planned duration of the pull after the fault [s]."""
 TIME_SCALE = 0.1
 
 
@@ -56,7 +56,7 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer that causes faults in the controller run that it observes.
+    """Observer of a controller run. The observer causes faults in the observed run.
 
     While the hand pulls its tendons, the observer executes one fault action after the other.
 
