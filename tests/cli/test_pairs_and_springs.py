@@ -308,3 +308,18 @@ def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path
     assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.5
     assert main(["gains", "rollback", "--to", "0", "--hand", "mine.toml"]) == 0
     assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.95
+
+
+@pytest.mark.parametrize("plant_count", range(1, 9) if NIGHTLY else [2])
+def test_gains_are_designed_for_spool_pairs_and_springs(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], plant_count: int
+) -> None:
+    """Reproduce two defects: the design found no gains, or it never ended, because a fault held the simulated hand.
+
+    The margins of the tension loops allowed an authority with which a spool pair oscillated.
+    """
+    write_hand()
+    words = ["--hand", "mine.toml", "--plants", str(plant_count), "--output", "designed.toml"]
+    assert main(["tune", "design", *words]) == 0
+    assert load_gains_file(Path("designed.toml")).tension.force_N < 10.0
+    assert main(["demo", "--lockstep", "--hand", "mine.toml", "--gains", "designed.toml"]) == 0

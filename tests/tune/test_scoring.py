@@ -15,7 +15,8 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
-from handctl.tune.scoring import evaluate_job, score_exercise
+from handctl.tune.loops.step_tests import StepExercise
+from handctl.tune.scoring import MAX_HELD_S, evaluate_job, score_exercise, simulate_program
 from handctl.tune.search.ensemble import sample_ensemble
 
 
@@ -78,3 +79,15 @@ def test_digits_that_move_freely_are_all_scored() -> None:
     hand = load_hand("jamia")
     score = score_exercise(hand, HandModel.from_hand(hand, packaged_gains("jamia"), 500.0), {}, 1)
     assert score.blocked == ""
+
+
+def test_a_run_that_faults_hold_ends_early() -> None:
+    """Reproduce a defect: a run never ended.
+
+    A fault held the simulated hand, and the time of a program does not advance during a hold.
+    """
+    hand = load_hand(Path(__file__).parents[1] / "hand" / "pairs_and_springs.toml")
+    model = HandModel.from_hand(hand, Gains.model_validate({"motion": {"force_N": 5.0}}), 500.0)
+    ticks, _, failure = simulate_program(hand, model, StepExercise(), {}, seed=0)
+    assert failure.startswith(f"held for {MAX_HELD_S:g} s by N07")
+    assert len(ticks) < 10.0 / model.period

@@ -25,11 +25,8 @@ from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.run_summary import mean_angles, root_mean_square
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.session.lockstep_simulation import (
-    SimulatorSettings,
-    homed_controller,
-    simulate_controller,
-)
+from handctl.safety.safety_action import SafetyAction
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
@@ -39,6 +36,8 @@ TOUCH_FORCE_N = 0.05
 
 The tracking error of a blocked digit says nothing about the gains.
 """
+MAX_HELD_S = 2.0
+"""Time for which faults are allowed to hold the hand in a run of an exercise, in total [s]."""
 OBJECTIVE_OF_FAILED_RUN = 1e3
 """Value of each objective for gains with which the exercise did not finish."""
 
@@ -163,20 +162,40 @@ def simulate_program(
 
     Returns:
         The ticks, the true values from the simulator, and the reason why the run ended early. If
-        the run did not end early, the reason is an empty text.
+        the run did not end early, the reason is an empty text. A run also ends early if faults hold
+        the hand for `MAX_HELD_S` in total, because the time of the program stops while the hand is
+        held.
     """
     ticks: TickRecords = []
+    held_ticks = 0
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
         simulator = SimulatorSettings(
             hand, seed=seed, perturb=plant_factors, homed=True, truth=file
         )
-        state = simulate_controller(
-            homed_controller(model, program, hand),
-            simulator,
-            lambda entry, out: ticks.append((entry, out)),
-        )
-        return ticks, read_truth(file), state.failure
+        with simulator.begin_run(homed_controller(model, program, hand)) as run:
+            run.are_ticks_recorded = False
+            for entry, tick_output in run.run_ticks():
+                ticks.append((entry, tick_output))
+                held_ticks += (
+                    tick_output.mode == HandMode.ACTIVE and tick_output.action >= SafetyAction.HOLD
+                )
+                if held_ticks * model.period > MAX_HELD_S:
+                    break
+            failure = run.state.failure
+        if held_ticks * model.period > MAX_HELD_S:
+            failure = f"held for {MAX_HELD_S:g} s by {_last_fault(ticks)}"
+        return ticks, read_truth(file), failure
+
+
+def _last_fault(ticks: TickRecords) -> str:
+    """Return the text of the last fault in a run that contains a fault."""
+    return next(
+        event.text
+        for _, tick_output in reversed(ticks)
+        for event in tick_output.events
+        if event.name == "fault"
+    )
 
 
 def score_run(

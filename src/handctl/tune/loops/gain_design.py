@@ -71,6 +71,8 @@ MAX_UNIFORM_REDUCTIONS = 5
 The forces are reduced if the loops keep their margins but the hand does not come to rest in
 simulation.
 """
+MIN_TENSION_LIMIT_N = 1.0
+"""Limit of the tension loops' authority below which no further limit is tried [N]."""
 MIN_SEPARATE_FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
 FORCE_SIGNIFICANT_DIGITS = 3
@@ -425,24 +427,61 @@ def design_gains(
 def _models_with_decreasing_force(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with smaller and smaller authority, except models without sufficient margins."""
+    """Yield the model, and then models with smaller and smaller authority, except models without sufficient margins.
+
+    First, the authority of all loops is reduced. Then the authority of the tension loops alone is
+    limited more and more. Without load cells, the margins of a tension loop allow a large authority
+    with which a spool pair oscillates while it closes.
+    """
     yield model
-    for step in range(1, MAX_UNIFORM_REDUCTIONS + 1):
-        weaker_model = _model_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_STEP))
+    for weaker_model in _weaker_models(model):
         if keeps_required_margins(weaker_model, plants):
             yield weaker_model
 
 
+def _weaker_models(model: HandModel) -> Iterator[HandModel]:
+    """Yield models with smaller authority, see ``_models_with_decreasing_force``."""
+    for step in range(1, MAX_UNIFORM_REDUCTIONS + 1):
+        yield _model_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_STEP))
+    tension_limit = _largest_tension_force(model.gains)
+    while tension_limit > MIN_TENSION_LIMIT_N:
+        tension_limit = _rounded_force(math.log(tension_limit) - FORCE_SEARCH_STEP)
+        yield _model_with_tension_force_limit(model, tension_limit)
+
+
 def _model_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     """Return the model with the authority of all loops multiplied by a factor."""
+    motion, tension = model.gains.motion, model.gains.tension
     gains = _replace_gain_sections(
         model.gains,
-        motion={**model.gains.motion.model_dump(), "force_N": model.gains.motion.force_N * factor},
-        tension={
-            **model.gains.tension.model_dump(),
-            "force_N": model.gains.tension.force_N * factor,
-        },
+        motion={**motion.model_dump(), "force_N": motion.force_N * factor},
+        tension={**tension.model_dump(), "force_N": tension.force_N * factor},
         tendon=_scaled_tendon_forces(model.gains, factor, factor),
+    )
+    return model_with_gains(model, gains)
+
+
+def _largest_tension_force(gains: Gains) -> float:
+    """Return the largest authority [N] of the tension loops of all tendons."""
+    separate_forces = [tendon_gains.tension_force_N or 0.0 for tendon_gains in gains.tendon]
+    return max([gains.tension.force_N, *separate_forces])
+
+
+def _model_with_tension_force_limit(model: HandModel, limit: float) -> HandModel:
+    """Return the model in which no tension loop has more authority than a limit [N]."""
+    force = min(model.gains.tension.force_N, limit)
+    tendon_sections = []
+    for tendon_gains in model.gains.tendon:
+        separate_force = min(tendon_gains.tension_force_N or 0.0, limit)
+        section = tendon_gains.model_dump() | {
+            "tension_force_N": separate_force if separate_force > force else None
+        }
+        if section["motion_force_N"] or section["tension_force_N"]:
+            tendon_sections.append(section)
+    gains = _replace_gain_sections(
+        model.gains,
+        tension={**model.gains.tension.model_dump(), "force_N": force},
+        tendon=tendon_sections,
     )
     return model_with_gains(model, gains)
 
