@@ -144,8 +144,11 @@ def test_a_copy_has_the_rows_between_two_times(
 
 def test_a_copy_without_rows_is_no_file(tmp_path: Path, truth_record: TruthRecord) -> None:
     write_truth(tmp_path / "whole", truth_record)
-    late = int(truth_record.t_ns[-1]) + 1
-    assert copy_truth(tmp_path / "whole", tmp_path / "part", late, late + 10**9) == 0
+    time_after_end = int(truth_record.t_ns[-1]) + 1
+    assert (
+        copy_truth(tmp_path / "whole", tmp_path / "part", time_after_end, time_after_end + 10**9)
+        == 0
+    )
     assert not (tmp_path / "part").exists()
     (tmp_path / "other").write_bytes(b"no truth")
     with pytest.raises(LogError, match="is not a truth file"):

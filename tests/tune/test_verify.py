@@ -183,7 +183,7 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
-    reached = goal - np.array(lag_by_joint)
+    reached_angles = goal - np.array(lag_by_joint)
     zeros = np.zeros((2, len(hand.tendon)))
     score = score_ticks(
         np.array([0, 1_000_000]),
@@ -191,7 +191,7 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
         digit_angles(hand, goal),
         zeros,
         zeros,
-        GroundTruth(digit_angles(hand, reached), zeros),
+        GroundTruth(digit_angles(hand, reached_angles), zeros),
     )
     assert score.tracking_deg == pytest.approx(tracking_deg)
 

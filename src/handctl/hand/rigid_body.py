@@ -79,7 +79,7 @@ _ACCELERATION_COLUMN = 15
 _FORCE_COLUMN = 18
 _TORQUE_COLUMN = 21
 _ORIGIN_COLUMN = 24
-_WORK_TABLE_COLUMN_COUNT = 27
+_MOTION_TABLE_COLUMN_COUNT = 27
 
 
 @kernel_helper
@@ -379,10 +379,10 @@ def write_newton_euler(
         ddq: (n,) joint accelerations [rad/s2].
         torque: (n,) array for the joint torques.
     """
-    work_table = np.empty((len(q), _WORK_TABLE_COLUMN_COUNT))
+    motion_table = np.empty((len(q), _MOTION_TABLE_COLUMN_COUNT))
     for j in range(len(q)):
-        _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], work_table, j)
-        _load_link(link_table, first_row, work_table, j)
+        _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], motion_table, j)
+        _load_link(link_table, first_row, motion_table, j)
     # The loop goes through the links from the tips to the palm, because each joint carries the
     # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
@@ -390,14 +390,14 @@ def write_newton_euler(
             _FORCE_COLUMN if link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0 else _TORQUE_COLUMN
         )
         torque[j] = (
-            link_table[first_row + JOINT_AXIS_ROW, j] * work_table[j, load]
-            + link_table[first_row + JOINT_AXIS_ROW + 1, j] * work_table[j, load + 1]
-            + link_table[first_row + JOINT_AXIS_ROW + 2, j] * work_table[j, load + 2]
+            link_table[first_row + JOINT_AXIS_ROW, j] * motion_table[j, load]
+            + link_table[first_row + JOINT_AXIS_ROW + 1, j] * motion_table[j, load + 1]
+            + link_table[first_row + JOINT_AXIS_ROW + 2, j] * motion_table[j, load + 2]
             + link_table[first_row + JOINT_ARMATURE_ROW, j] * ddq[j]
         )
         parent_joint = parent[j]
         if parent_joint >= 0:
-            _add_load_to_parent(work_table, j, parent_joint)
+            _add_load_to_parent(motion_table, j, parent_joint)
 
 
 @kernel_helper
@@ -409,7 +409,7 @@ def _move_link(
     q: float,
     dq: float,
     ddq: float,
-    work_table: Array,
+    motion_table: Array,
     j: int,
 ) -> None:
     """Write the motion of link j, in the frame of the link.
@@ -420,7 +420,7 @@ def _move_link(
     cosine = math.cos(q)
     sine = math.sin(q)
     for i in range(9):
-        work_table[j, i] = (
+        motion_table[j, i] = (
             link_table[first_row + FIXED_ROTATION_ROW + i, j]
             + cosine * link_table[first_row + COSINE_ROTATION_ROW + i, j]
             + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
@@ -432,12 +432,12 @@ def _move_link(
     )
     prismatic = link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0
     for a in range(3):
-        work_table[j, _ORIGIN_COLUMN + a] = link_table[first_row + JOINT_ORIGIN_ROW + a, j]
+        motion_table[j, _ORIGIN_COLUMN + a] = link_table[first_row + JOINT_ORIGIN_ROW + a, j]
         if prismatic:
-            work_table[j, _ORIGIN_COLUMN + a] += q * (
-                work_table[j, 3 * a] * ax
-                + work_table[j, 3 * a + 1] * ay
-                + work_table[j, 3 * a + 2] * az
+            motion_table[j, _ORIGIN_COLUMN + a] += q * (
+                motion_table[j, 3 * a] * ax
+                + motion_table[j, 3 * a + 1] * ay
+                + motion_table[j, 3 * a + 2] * az
             )
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
@@ -446,71 +446,71 @@ def _move_link(
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if parent_link >= 0:
         wx, wy, wz = (
-            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN],
-            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 1],
-            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 2],
+            motion_table[parent_link, _ANGULAR_VELOCITY_COLUMN],
+            motion_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 1],
+            motion_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 2],
         )
         tx, ty, tz = (
-            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN],
-            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 1],
-            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 2],
+            motion_table[parent_link, _ANGULAR_ACCELERATION_COLUMN],
+            motion_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 1],
+            motion_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 2],
         )
         ox, oy, oz = (
-            work_table[j, _ORIGIN_COLUMN],
-            work_table[j, _ORIGIN_COLUMN + 1],
-            work_table[j, _ORIGIN_COLUMN + 2],
+            motion_table[j, _ORIGIN_COLUMN],
+            motion_table[j, _ORIGIN_COLUMN + 1],
+            motion_table[j, _ORIGIN_COLUMN + 2],
         )
         # The acceleration of the point o, at which the joint is, is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = (
-            work_table[parent_link, _ACCELERATION_COLUMN]
+            motion_table[parent_link, _ACCELERATION_COLUMN]
             + (ty * oz - tz * oy)
             + (wy * uz - wz * uy)
         )
         my = (
-            work_table[parent_link, _ACCELERATION_COLUMN + 1]
+            motion_table[parent_link, _ACCELERATION_COLUMN + 1]
             + (tz * ox - tx * oz)
             + (wz * ux - wx * uz)
         )
         mz = (
-            work_table[parent_link, _ACCELERATION_COLUMN + 2]
+            motion_table[parent_link, _ACCELERATION_COLUMN + 2]
             + (tx * oy - ty * ox)
             + (wx * uy - wy * ux)
         )
     for a in range(3):
         # The transposed rotation transforms a vector from the frame of the parent to the frame of
         # the link.
-        work_table[j, _ANGULAR_VELOCITY_COLUMN + a] = (
-            work_table[j, a] * wx + work_table[j, 3 + a] * wy + work_table[j, 6 + a] * wz
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN + a] = (
+            motion_table[j, a] * wx + motion_table[j, 3 + a] * wy + motion_table[j, 6 + a] * wz
         )
-        work_table[j, _ANGULAR_ACCELERATION_COLUMN + a] = (
-            work_table[j, a] * tx + work_table[j, 3 + a] * ty + work_table[j, 6 + a] * tz
+        motion_table[j, _ANGULAR_ACCELERATION_COLUMN + a] = (
+            motion_table[j, a] * tx + motion_table[j, 3 + a] * ty + motion_table[j, 6 + a] * tz
         )
-        work_table[j, _ACCELERATION_COLUMN + a] = (
-            work_table[j, a] * mx + work_table[j, 3 + a] * my + work_table[j, 6 + a] * mz
+        motion_table[j, _ACCELERATION_COLUMN + a] = (
+            motion_table[j, a] * mx + motion_table[j, 3 + a] * my + motion_table[j, 6 + a] * mz
         )
     wx, wy, wz = (
-        work_table[j, _ANGULAR_VELOCITY_COLUMN],
-        work_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
-        work_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
     )
     if prismatic:
         # A link that slides in a turning frame has the additional acceleration a q'' + 2 w x (a
         # q').
-        work_table[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
-        work_table[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
-        work_table[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
+        motion_table[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
+        motion_table[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
+        motion_table[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
         return
-    work_table[j, _ANGULAR_ACCELERATION_COLUMN] += ax * ddq + (wy * az - wz * ay) * dq
-    work_table[j, _ANGULAR_ACCELERATION_COLUMN + 1] += ay * ddq + (wz * ax - wx * az) * dq
-    work_table[j, _ANGULAR_ACCELERATION_COLUMN + 2] += az * ddq + (wx * ay - wy * ax) * dq
-    work_table[j, _ANGULAR_VELOCITY_COLUMN] += ax * dq
-    work_table[j, _ANGULAR_VELOCITY_COLUMN + 1] += ay * dq
-    work_table[j, _ANGULAR_VELOCITY_COLUMN + 2] += az * dq
+    motion_table[j, _ANGULAR_ACCELERATION_COLUMN] += ax * ddq + (wy * az - wz * ay) * dq
+    motion_table[j, _ANGULAR_ACCELERATION_COLUMN + 1] += ay * ddq + (wz * ax - wx * az) * dq
+    motion_table[j, _ANGULAR_ACCELERATION_COLUMN + 2] += az * ddq + (wx * ay - wy * ax) * dq
+    motion_table[j, _ANGULAR_VELOCITY_COLUMN] += ax * dq
+    motion_table[j, _ANGULAR_VELOCITY_COLUMN + 1] += ay * dq
+    motion_table[j, _ANGULAR_VELOCITY_COLUMN + 2] += az * dq
 
 
 @kernel_helper
-def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> None:
+def _load_link(link_table: Array, first_row: int, motion_table: Array, j: int) -> None:
     """Write the force and the torque at the joint of link j that the motion of the link requires."""
     mass = link_table[first_row + LINK_MASS_ROW, j]
     hx, hy, hz = (
@@ -519,25 +519,25 @@ def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> 
         link_table[first_row + LINK_FIRST_MOMENT_ROW + 2, j],
     )
     wx, wy, wz = (
-        work_table[j, _ANGULAR_VELOCITY_COLUMN],
-        work_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
-        work_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        motion_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
     )
     tx, ty, tz = (
-        work_table[j, _ANGULAR_ACCELERATION_COLUMN],
-        work_table[j, _ANGULAR_ACCELERATION_COLUMN + 1],
-        work_table[j, _ANGULAR_ACCELERATION_COLUMN + 2],
+        motion_table[j, _ANGULAR_ACCELERATION_COLUMN],
+        motion_table[j, _ANGULAR_ACCELERATION_COLUMN + 1],
+        motion_table[j, _ANGULAR_ACCELERATION_COLUMN + 2],
     )
     mx, my, mz = (
-        work_table[j, _ACCELERATION_COLUMN],
-        work_table[j, _ACCELERATION_COLUMN + 1],
-        work_table[j, _ACCELERATION_COLUMN + 2],
+        motion_table[j, _ACCELERATION_COLUMN],
+        motion_table[j, _ACCELERATION_COLUMN + 1],
+        motion_table[j, _ACCELERATION_COLUMN + 2],
     )
     # The required force is m a + t x h + w x (w x h).
     ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
-    work_table[j, _FORCE_COLUMN] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
-    work_table[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
-    work_table[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
+    motion_table[j, _FORCE_COLUMN] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
+    motion_table[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
+    motion_table[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = (
         link_table[first_row + LINK_INERTIA_ROW, j],
         link_table[first_row + LINK_INERTIA_ROW + 1, j],
@@ -554,51 +554,60 @@ def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> 
         xy * wx + yy * wy + yz * wz,
         xz * wx + yz * wy + zz * wz,
     )
-    work_table[j, _TORQUE_COLUMN] = (
+    motion_table[j, _TORQUE_COLUMN] = (
         xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
     )
-    work_table[j, _TORQUE_COLUMN + 1] = (
+    motion_table[j, _TORQUE_COLUMN + 1] = (
         xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
     )
-    work_table[j, _TORQUE_COLUMN + 2] = (
+    motion_table[j, _TORQUE_COLUMN + 2] = (
         xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
     )
 
 
 @kernel_helper
-def _add_load_to_parent(work_table: Array, j: int, parent_link: int) -> None:
+def _add_load_to_parent(motion_table: Array, j: int, parent_link: int) -> None:
     """Add the force and the torque of link j to the force and the torque of the parent link."""
     fx, fy, fz = (
-        work_table[j, _FORCE_COLUMN],
-        work_table[j, _FORCE_COLUMN + 1],
-        work_table[j, _FORCE_COLUMN + 2],
+        motion_table[j, _FORCE_COLUMN],
+        motion_table[j, _FORCE_COLUMN + 1],
+        motion_table[j, _FORCE_COLUMN + 2],
     )
     nx, ny, nz = (
-        work_table[j, _TORQUE_COLUMN],
-        work_table[j, _TORQUE_COLUMN + 1],
-        work_table[j, _TORQUE_COLUMN + 2],
+        motion_table[j, _TORQUE_COLUMN],
+        motion_table[j, _TORQUE_COLUMN + 1],
+        motion_table[j, _TORQUE_COLUMN + 2],
     )
-    gx = work_table[j, 0] * fx + work_table[j, 1] * fy + work_table[j, 2] * fz
-    gy = work_table[j, 3] * fx + work_table[j, 4] * fy + work_table[j, 5] * fz
-    gz = work_table[j, 6] * fx + work_table[j, 7] * fy + work_table[j, 8] * fz
+    gx = motion_table[j, 0] * fx + motion_table[j, 1] * fy + motion_table[j, 2] * fz
+    gy = motion_table[j, 3] * fx + motion_table[j, 4] * fy + motion_table[j, 5] * fz
+    gz = motion_table[j, 6] * fx + motion_table[j, 7] * fy + motion_table[j, 8] * fz
     ox, oy, oz = (
-        work_table[j, _ORIGIN_COLUMN],
-        work_table[j, _ORIGIN_COLUMN + 1],
-        work_table[j, _ORIGIN_COLUMN + 2],
+        motion_table[j, _ORIGIN_COLUMN],
+        motion_table[j, _ORIGIN_COLUMN + 1],
+        motion_table[j, _ORIGIN_COLUMN + 2],
     )
-    work_table[parent_link, _FORCE_COLUMN] += gx
-    work_table[parent_link, _FORCE_COLUMN + 1] += gy
-    work_table[parent_link, _FORCE_COLUMN + 2] += gz
+    motion_table[parent_link, _FORCE_COLUMN] += gx
+    motion_table[parent_link, _FORCE_COLUMN + 1] += gy
+    motion_table[parent_link, _FORCE_COLUMN + 2] += gz
     # The force f acts at the position o of the joint, so that the torque on the parent link is R n
     # + o x (R f).
-    work_table[parent_link, _TORQUE_COLUMN] += (
-        work_table[j, 0] * nx + work_table[j, 1] * ny + work_table[j, 2] * nz + (oy * gz - oz * gy)
+    motion_table[parent_link, _TORQUE_COLUMN] += (
+        motion_table[j, 0] * nx
+        + motion_table[j, 1] * ny
+        + motion_table[j, 2] * nz
+        + (oy * gz - oz * gy)
     )
-    work_table[parent_link, _TORQUE_COLUMN + 1] += (
-        work_table[j, 3] * nx + work_table[j, 4] * ny + work_table[j, 5] * nz + (oz * gx - ox * gz)
+    motion_table[parent_link, _TORQUE_COLUMN + 1] += (
+        motion_table[j, 3] * nx
+        + motion_table[j, 4] * ny
+        + motion_table[j, 5] * nz
+        + (oz * gx - ox * gz)
     )
-    work_table[parent_link, _TORQUE_COLUMN + 2] += (
-        work_table[j, 6] * nx + work_table[j, 7] * ny + work_table[j, 8] * nz + (ox * gy - oy * gx)
+    motion_table[parent_link, _TORQUE_COLUMN + 2] += (
+        motion_table[j, 6] * nx
+        + motion_table[j, 7] * ny
+        + motion_table[j, 8] * nz
+        + (ox * gy - oy * gx)
     )
 
 

@@ -22,7 +22,7 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program during a run. All programs have a progress with the same fields.
+    """State of a program during a run. Every program stores its state in these fields.
 
     The hash of the controller's state includes the progress of the program.
 
