@@ -62,7 +62,7 @@ WAIT_AFTER_KILL_S = 2.0
 TARGET_REPEAT_COUNT = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_DURATION_S = 10.0
-QUICK_LATENCY_DURATION_S = 2.0
+SHORT_LATENCY_DURATION_S = 2.0
 """Duration of the latency measurement with ``--quick`` [s].
 
 Without ``--quick``, the latency measurement lasts ``LATENCY_DURATION_S``.
@@ -768,7 +768,7 @@ def main() -> None:
             result["tracking"] = measure_tracking(args.bus, args.time_scale)
         if "latency" in part_names:
             result["latency"] = measure_latency(
-                args.bus, QUICK_LATENCY_DURATION_S if args.quick else LATENCY_DURATION_S
+                args.bus, SHORT_LATENCY_DURATION_S if args.quick else LATENCY_DURATION_S
             )
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 

@@ -87,8 +87,8 @@ def torque_bytes_of(commands: bytes) -> NDArray[np.uint8]:
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    A reply that was computed once is not computed again. Only the torque that a drive reports
-    changes with the commands. If the reported torque were constant, the controller would report
+    A reply that was computed once is not computed again. Only the reported torque of a drive
+    follows the commands. If the reported torque were constant, the controller would report
     that the drive does not obey (fault N14).
 
     A control loop can send all commands of a tick as one batch. The replies to a batch are sent

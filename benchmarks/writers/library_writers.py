@@ -61,7 +61,7 @@ def mcap_ros2_writer(path: Path) -> LibraryWriter:
 def rosbags_writer(path: Path) -> LibraryWriter:
     """Return a log writer that uses rosbags.
 
-    The log of rosbags is a folder with MCAP storage. A message must be an object of its message
+    The library rosbags writes a folder that contains an MCAP file. A message must be an object of its message
     type.
     """
     from rosbags.highlevel import AnyReader

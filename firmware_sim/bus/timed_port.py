@@ -77,7 +77,7 @@ class TimedPort:
         Raises:
             SimulatorError: another process already serves the bus.
         """
-        self._latency = latency or no_latency
+        self._latency = latency or latency_without_adapter
         self._latencies: dict[HubConnection, AdapterLatency] = {}
         self._delayed_records: list[tuple[int, int, HubConnection, bytes]] = []
         """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
@@ -276,6 +276,6 @@ def timed_port_factory(
     )
 
 
-def no_latency(adapter_number: int) -> AdapterLatency:
+def latency_without_adapter(adapter_number: int) -> AdapterLatency:
     """Return a latency of zero, for a client that is connected to the wire without a CAN adapter."""
     return AdapterLatency(NO_LATENCY_CLASS)

@@ -319,9 +319,9 @@ def _digit_element(
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
         bits = (
-            _carrier_collision_bits()
+            _collision_bits_of_carrier()
             if is_carrier
-            else _digit_collision_bits(is_digit_opposed[digit.name], is_near_palm[i])
+            else _collision_bits_of_digit(is_digit_opposed[digit.name], is_near_palm[i])
         )
         # A link that carries other digits ends at the face of the box on which these digits are
         # mounted.
@@ -341,7 +341,7 @@ def _digit_element(
     )
 
 
-def _digit_collision_bits(is_opposed: bool, is_near_palm: bool) -> tuple[int, int]:
+def _collision_bits_of_digit(is_opposed: bool, is_near_palm: bool) -> tuple[int, int]:
     """Return the collision category and the collision affinity of a link.
 
     All links of a digit touch the object and the opposed digits. A link that overlaps the palm
@@ -357,7 +357,7 @@ def _digit_collision_bits(is_opposed: bool, is_near_palm: bool) -> tuple[int, in
     )
 
 
-def _carrier_collision_bits() -> tuple[int, int]:
+def _collision_bits_of_carrier() -> tuple[int, int]:
     """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
     The links of a carrying digit have the same category and affinity as the palm.

@@ -131,7 +131,7 @@ def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Reproduce a defect: for every hand, the error message about a missing simulator named the hand jamia."""
+    """Reproduce a defect: the error message about a missing simulator always named jamia, for any hand."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     shutil.copy(hand_path("t42"), "ak hand.toml")

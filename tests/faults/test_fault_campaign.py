@@ -337,7 +337,7 @@ def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_tension(seed: int):
-    """Reproduce a defect: the controller detected exchanged power stages of two drives too late.
+    """Reproduce a defect: when two drives had exchanged power stages, the controller detected the exchange too late.
 
     A tension reached 100 to 114 N, because the difference between tension and motor force was
     filtered with a time constant of 200 ms.

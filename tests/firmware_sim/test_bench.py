@@ -370,7 +370,7 @@ def test_no_frame_ends_a_drive(protocol: str, drive_fault: str) -> None:
         bench.take_unsolicited_frames()
 
 
-def bench_in_mode(control_mode: int) -> SimulatedDriveBench:
+def drive_bench_in_mode(control_mode: int) -> SimulatedDriveBench:
     """Return a bench with one enabled Damiao motor in a control mode."""
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", control_mode)))
@@ -380,7 +380,7 @@ def bench_in_mode(control_mode: int) -> SimulatedDriveBench:
 
 
 def test_a_damiao_motor_holds_a_velocity() -> None:
-    bench = bench_in_mode(3)
+    bench = drive_bench_in_mode(3)
     bench.receive(Frame(0x202, struct.pack("<f", -5.0)))
     bench.advance(1000 * NS_PER_MS)
     assert bench.motors[0].omega == pytest.approx(-5.0, rel=0.05)
@@ -390,7 +390,7 @@ def test_a_damiao_motor_holds_a_velocity() -> None:
 
 
 def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
-    bench = bench_in_mode(2)
+    bench = drive_bench_in_mode(2)
     bench.receive(Frame(0x102, struct.pack("<ff", 3.0, 2.0)))
     fastest = 0.0
     for _ in range(60):
@@ -401,7 +401,7 @@ def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
 
 
 def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
-    bench = bench_in_mode(4)
+    bench = drive_bench_in_mode(4)
     bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, 1000, 500)))
     max_torque = 0.0
     for _ in range(200):
@@ -412,7 +412,7 @@ def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
 
 @pytest.mark.parametrize("control_mode", [1, 2, 3, 4])
 def test_a_command_of_another_mode_is_answered_without_effect(control_mode: int) -> None:
-    bench = bench_in_mode(control_mode)
+    bench = drive_bench_in_mode(control_mode)
     commands = {
         1: Frame(2, (0x7FFF7FF << 36 | 0xFFF).to_bytes(8, "big")),
         2: Frame(0x102, struct.pack("<ff", 3.0, 2.0)),
@@ -431,7 +431,7 @@ def test_a_command_of_another_mode_is_answered_without_effect(control_mode: int)
 
 
 def test_a_change_of_the_mode_ends_the_setpoint() -> None:
-    bench = bench_in_mode(3)
+    bench = drive_bench_in_mode(3)
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", 1)))
     assert (bench.motors[0].servo.kd, bench.motors[0].servo.speed_gain) == (0.0, 0.0)

@@ -41,7 +41,7 @@ def mean_held_tensions(
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the time in the log of the repetition at which the recorded motion starts [s]."""
+    """Return the start time of the recorded motion [s], in the log of the repetition."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 

@@ -36,7 +36,7 @@ print(json.dumps({
 
 
 def add_example_fault(package_folder: Path) -> None:
-    """Add the example fault of the how-to page to a copy of the package handctl."""
+    """Copy the package handctl, and add the example fault of the how-to page to the copy."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package_folder / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:

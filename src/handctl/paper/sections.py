@@ -109,8 +109,8 @@ def _kinematics_section() -> PageSection:
             "q with S lower triangular of ones, so θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃. By virtual work, torques "
             "transform in the opposite direction: the torques at the joints are τ = Sᵀ T, with T of Eq. 7 to 12, "
             "and the mass matrix is M_q = Sᵀ M_θ S.",
-            "Eq. 1-2 are in q, with q₁ = q₂ = q₃ = θ. The tip then moves on a curve. With independent joints it "
-            "would reach the shaded area.",
+            "Eq. 1-2 contain the joint angle q, with q₁ = q₂ = q₃ = θ. The tip then moves on a curve. With independent "
+            "joints it would reach the shaded area.",
         ),
         ("fig2-model", "fig3-path"),
         tuple(kinematics.kinematics_errata()),

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 def _expected_buses(
     args: argparse.Namespace, hand: Hand | None
 ) -> Sequence[tuple[str, BusSection]]:
-    """Return each bus that the command line names, with the name and the bit rates that the bus should have."""
+    """Return each bus of the command line, with its expected name and its expected bit rates."""
     if hand is not None:
         from handctl.session.run_plan import bus_specs
 

@@ -154,7 +154,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest change of a motor's torque that is larger than rounding, as a force at the spool [N]."""
+    """Return the smallest torque change of a motor that is no rounding error, divided by the spool radius [N]."""
     rounding_step = max(
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
