@@ -59,8 +59,15 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
     """List the name and the unit of every column of a plant's truth file."""
     hand = plant.hand
     column_names = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
-    column_names += [(f"q/{joint}", "rad") for joint in hand.joints]
-    column_names += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
+    prismatic_joints = {
+        joint
+        for digit in hand.digits
+        for joint, is_prismatic in zip(digit.joints, digit.prismatic, strict=True)
+        if is_prismatic
+    }
+    units = {joint: "m" if joint in prismatic_joints else "rad" for joint in hand.joints}
+    column_names += [(f"q/{joint}", unit) for joint, unit in units.items()]
+    column_names += [(f"dq/{joint}", f"{unit}/s") for joint, unit in units.items()]
     column_names += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
     column_names += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
     column_names += [

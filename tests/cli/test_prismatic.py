@@ -1,5 +1,6 @@
 """Test commands with hands that have prismatic joints: grasps, re-execution, mistakes, export and import."""
 
+import copy
 import json
 import shutil
 from pathlib import Path
@@ -8,11 +9,19 @@ import numpy as np
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
+from firmware_sim.hand_description import load_hand as simulated_hand
+from firmware_sim.plant.plant import Plant
+from firmware_sim.scene.scene import load_scene
+from firmware_sim.truth_file import truth_columns
 from handctl.cli.main import main
+from handctl.cli.tuning.tune_search import _designed_gains
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_model import HandModel
 from handctl.hand.digit import DigitModel
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import load_hand, read_toml, validate_content
 from handctl.replay.dataset_episode import find_episode
 from handctl.report.truth_record import read_truth
+from handctl.tune.loops.gain_design import design_gains, linear_factors
 from tests.cli.command_refusals import refusal_line
 
 HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
@@ -275,3 +284,35 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
             strict=True,
         ):
             np.testing.assert_array_equal(digit.table, other_digit.table)
+
+
+def test_encoders_of_prismatic_joints_alone_need_no_angle_noise() -> None:
+    """Reproduce a defect: `joint_noise_rad` was required although only prismatic joints had encoders."""
+    content = copy.deepcopy(read_toml(HAND_FILE_FOLDER / PARALLEL_GRIPPER_FILE))
+    content["sensor_node"] |= {"joints": "all", "joint_decimation": 1, "joint_noise_m": 1e-5}
+    content["sensor_node"].pop("joint_noise_rad", None)
+    assert validate_content(content)[1] == []
+    content = copy.deepcopy(read_toml(HAND_FILE_FOLDER / MIXED_GRIPPER_FILE))
+    content["sensor_node"] |= {"joints": "all", "joint_decimation": 1, "joint_noise_m": 1e-5}
+    content["sensor_node"].pop("joint_noise_rad", None)
+    assert [mistake.where for mistake in validate_content(content)[1]] == [
+        "sensor_node.joint_noise_rad"
+    ]
+
+
+def test_the_truth_file_names_the_unit_of_each_joint() -> None:
+    """Reproduce a defect: the unit of a prismatic joint was rad."""
+    hand = simulated_hand(HAND_FILE_FOLDER / MIXED_GRIPPER_FILE)
+    units = dict(truth_columns(Plant(hand, load_scene("none"))))
+    assert (units["q/jaw_j1"], units["dq/jaw_j1"]) == ("m", "m/s")
+    assert (units["q/finger_j2"], units["dq/finger_j2"]) == ("rad", "rad/s")
+
+
+def test_a_design_out_of_bounds_is_no_start_of_a_search() -> None:
+    """Reproduce a defect: `tune search` crashed, because a designed force was out of its bounds."""
+    hand = load_hand(HAND_FILE_FOLDER / MIXED_GRIPPER_FILE)
+    gains = Gains.model_validate({"filter": {"encoder_noise_counts": 3.0}})
+    model = HandModel.from_hand(hand, gains, 500.0)
+    with pytest.raises(ValueError, match="motion_force_N"):
+        design_gains(model, (linear_factors({}),)).as_weights()
+    assert _designed_gains(hand, gains, 500.0, ({},)) == ()

@@ -143,6 +143,13 @@ def default_gains(
             f"gain motion.force_N: {force:g} N instead of the packaged {packaged_force:g} N, "
             f"for a gain margin of {MIN_GAIN_MARGIN_DB:g} dB at {rate:g} Hz"
         )
+    elif show_force:
+        name, margin_db = margin_gains.smallest_gain_margin(hand, hand_gains, rate)
+        if margin_db < margin_gains.MIN_PACKAGED_MARGIN_DB:
+            print_notice(
+                f"gain motion.force_N: {force:g} N leave {name} a gain margin of {margin_db:.1f} dB, no smaller value "
+                "gives 6 dB, and the hand may oscillate (N07, N14b); try --gain motion.force_N=3 or handctl tune design"
+            )
     return hand_gains
 
 

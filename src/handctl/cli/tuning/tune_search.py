@@ -104,8 +104,8 @@ def _designed_gains(
 ) -> tuple[Gains, ...]:
     """Return the gains that ``tune design`` finds for the same simulated plants.
 
-    The gains of the design are one of the starting points of the search. If the design fails,
-    return an empty tuple.
+    The gains of the design are one of the starting points of the search. If the design fails, or
+    if its gains are out of bounds with the default authority, return an empty tuple.
     """
     from handctl.tune.loops.gain_design import design_gains, linear_factors
 
@@ -114,9 +114,9 @@ def _designed_gains(
             HandModel.from_hand(hand, gains, rate_hz),
             tuple(linear_factors(plant) for plant in plants),
         )
+        return (result.as_weights(),)
     except (ValueError, ConfigError):
         return ()
-    return (result.as_weights(),)
 
 
 class _SearchProgress:

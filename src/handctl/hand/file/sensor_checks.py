@@ -58,22 +58,36 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
         yield from _check_amplifiers(node)
         yield from _check_range(hand)
         return
-    yield from missing_node_keys(node.model_dump(include=node.model_fields_set))
+    has_hinge_encoder = any(
+        joint in node.joints and not is_prismatic
+        for joint, is_prismatic in zip(hand.joints, hand.is_prismatic, strict=True)
+    )
+    content = node.model_dump(include=node.model_fields_set)
+    yield from missing_node_keys(content, needs_angle_noise=has_hinge_encoder)
 
 
-def missing_node_keys(content: object) -> Iterator[FileMistake]:
+def missing_node_keys(
+    content: object, needs_angle_noise: bool | None = None
+) -> Iterator[FileMistake]:
     """Yield a mistake for each required key that the section of a handctl sensor node lacks.
 
     The keys of the joint encoders are required only if the node has joint encoders.
 
     Args:
         content: content of the section. Other values than a table have no missing keys.
+        needs_angle_noise: True if the section needs the key ``joint_noise_rad``, because a hinge has
+            an encoder. If it is None, the section needs the key unless it has ``joint_noise_m``, the
+            key for prismatic joints.
     """
     if not isinstance(content, Mapping) or content.get("protocol") == CIA404_PROTOCOL:
         return
     required_keys = ["sync_id", "base_id"]
     if content.get("joints"):
-        required_keys += ["joint_decimation", "joint_noise_rad"]
+        required_keys.append("joint_decimation")
+        if needs_angle_noise is None:
+            needs_angle_noise = "joint_noise_m" not in content
+        if needs_angle_noise:
+            required_keys.append("joint_noise_rad")
     for key in required_keys:
         if key not in content:
             field = SensorNode.model_fields[key]

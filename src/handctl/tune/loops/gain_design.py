@@ -420,7 +420,8 @@ def design_gains(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
             )
     raise ValueError(
-        "no authority keeps the margins with this filter; expected a filter with more sensor noise"
+        "no force weight (motion.force_N, tension.force_N) keeps the margins with this filter; expected a larger "
+        f"filter.encoder_noise_counts than {model.gains.filter.encoder_noise_counts:g}"
     )
 
 
