@@ -7,24 +7,27 @@ An ordinary test run covers only a sample of these hand files.
 import itertools
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains, MotionGains, packaged_gains
+from handctl.core.hand_model import HandModel
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
+from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
 from handctl.session.run_plan import default_control_rate
 from handctl.tune.loops.default_gains import (
+    MIN_FORCE_FRACTION,
     MIN_PACKAGED_MARGIN_DB,
     default_gains,
-    largest_force_with_margin,
-    smallest_gain_margin,
 )
-from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
+from handctl.tune.loops.linear_models import LoopKind, open_loop
+from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 from tests.cli.command_refusals import refusal_line
 from tests.cli.test_config_init import SENSOR_CASES, sensor_options
 from tests.conftest import NIGHTLY
@@ -251,20 +254,35 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 @pytest.mark.parametrize("rate_hz", [500.0, 200.0, 100.0])
 @pytest.mark.parametrize("hand_file", ["pairs_and_springs.toml", "mixed_gripper.toml"])
 def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float) -> None:
-    """The default ``motion.force_N`` is the largest of the candidate values that keep the required gain margin.
+    """The default force of each digit is the largest of the candidate values that keep the required gain margin.
 
     With the next larger candidate value, the gain margin is too small.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / hand_file)
-    force = default_gains(hand, rate_hz).motion.force_N
-    margin = smallest_gain_margin(hand, gains_with_force(force), rate_hz)[1]
-    if force == Gains().motion.force_N:
-        no_force_is_enough = largest_force_with_margin(hand, Gains(), rate_hz) is None
-        assert margin >= MIN_PACKAGED_MARGIN_DB or no_force_is_enough
-        return
-    assert margin >= MIN_GAIN_MARGIN_DB
-    larger_gains = gains_with_force(1.12 * force)
-    assert smallest_gain_margin(hand, larger_gains, rate_hz)[1] < MIN_GAIN_MARGIN_DB
+    gains = default_gains(hand, rate_hz)
+    for digit in hand.digit:
+        tendons = hand.tendon_names[hand.digit_tendons[digit.name]]
+        (force,) = {gains.force_weights_of_tendon(tendon)[0] for tendon in tendons}
+        margin = margin_of_tendons(hand, force, rate_hz, tendons)
+        if force == Gains().motion.force_N:
+            required = MIN_PACKAGED_MARGIN_DB if digit.has_springs else MIN_GAIN_MARGIN_DB
+            smallest_force = MIN_FORCE_FRACTION * force
+            assert (
+                margin >= required
+                or margin_of_tendons(hand, smallest_force, rate_hz, tendons) < MIN_GAIN_MARGIN_DB
+            )
+            continue
+        assert margin >= MIN_GAIN_MARGIN_DB
+        assert margin_of_tendons(hand, 1.12 * force, rate_hz, tendons) < MIN_GAIN_MARGIN_DB
+
+
+def margin_of_tendons(hand: Hand, force: float, rate_hz: float, tendons: Iterable[str]) -> float:
+    """Return the smallest gain margin [dB] of the motion loops of some tendons, all with the same force [N]."""
+    model = HandModel.from_hand(hand, gains_with_force(force), rate_hz)
+    return min(
+        margins_of_loop(open_loop(model, hand.tendon_names.index(name), LoopKind.MOTION)).gain_db
+        for name in tendons
+    )
 
 
 def gains_with_force(force_N: float) -> Gains:

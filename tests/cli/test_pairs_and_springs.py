@@ -307,7 +307,9 @@ def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path
     assert main(["gains", "apply", "gains.toml", "--hand", "mine.toml"]) == 0
     assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.5
     assert main(["gains", "rollback", "--to", "0", "--hand", "mine.toml"]) == 0
-    assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.95
+    gains = load_gains_file(Path("tri.gains.toml")).gains
+    assert gains.force_weights_of_tendon("short_flexor")[0] == gains.motion.force_N == 1.1
+    assert gains.force_weights_of_tendon("long_flexor")[0] == 0.95
 
 
 @pytest.mark.parametrize("plant_count", range(1, 9) if NIGHTLY else [2])

@@ -23,6 +23,7 @@ from handctl.replay.dataset_episode import find_episode
 from handctl.report.truth_record import read_truth
 from handctl.tune.loops.gain_design import design_gains, linear_factors
 from tests.cli.command_refusals import refusal_line
+from tests.conftest import NIGHTLY
 
 HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
 PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE = "parallel_gripper.toml", "mixed_gripper.toml"
@@ -316,3 +317,20 @@ def test_a_design_out_of_bounds_is_no_start_of_a_search() -> None:
     with pytest.raises(ValueError, match="motion_force_N"):
         design_gains(model, (linear_factors({}),)).as_weights()
     assert _designed_gains(hand, gains, 500.0, ({},)) == ()
+
+
+@pytest.mark.parametrize("seed", range(5) if NIGHTLY else [0])
+def test_fingers_of_unlike_actuation_grasp_in_their_first_demo(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], seed: int
+) -> None:
+    """Reproduce a defect: with one force for all digits, the fingers that antagonists open oscillated (N14b).
+
+    A slide, a finger with an extensor, and a finger of four joints without load cells oppose each
+    other. A new user wrote the hand file.
+    """
+    hand_file = HAND_FILE_FOLDER / "unlike_fingers.toml"
+    words = ["--hand", str(hand_file), "--seed", str(seed), "--json"]
+    assert main(["demo", "--lockstep", *words]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["table_sunk_mm"] > 50.0
+    assert result["object_slid_mm"] < MAX_SLIP_MM

@@ -22,6 +22,7 @@ from handctl.session.notices import NoticeCallback, ignore_notice
 
 PACKAGED_GAINS_SOURCE = "packaged"
 COMMAND_LINE_SOURCE = "command line"
+MOTION_FORCE_KEY = "motion.force_N"
 MARGIN_SOURCE = "computed for the gain margin"
 """Source of a gain that the default gains of a hand contain instead of the packaged value."""
 DefaultGainsFunction = Callable[[Hand], Gains]
@@ -73,14 +74,16 @@ def gains_with_sources(
     loaded_gains = read_gains_for_hand(hand, gains_file, show_notice) if gains_file else None
     packaged = packaged_gains(hand.name)
     base = loaded_gains.gains if loaded_gains else packaged
-    if loaded_gains is None and default_gains is not None:
-        base = default_gains(hand)
     values = gain_assignments(assignment_words, "--gain")
+    # The defaults differ from the packaged gains only in the forces of the motion loops. A force from
+    # the command line applies to all tendons.
+    if loaded_gains is None and default_gains is not None and MOTION_FORCE_KEY not in values:
+        base = default_gains(hand)
     gains = gains_with_values(base, values, "--gain") if values else base
     packaged_values = values_by_key(packaged)
     origins = {
         key: MARGIN_SOURCE
-        if gains_file is None and value != packaged_values[key]
+        if gains_file is None and value != packaged_values.get(key)
         else _source_of_gain(base, key, gains_file)
         for key, value in values_by_key(base).items()
     } | dict.fromkeys(values, COMMAND_LINE_SOURCE)

@@ -138,9 +138,14 @@ def default_gains(
     hand_gains = _gains_of_hands[key]
     force = hand_gains.motion.force_N
     packaged_force = packaged_gains(hand.name).motion.force_N
-    if show_force and force != packaged_force:
+    if show_force and (force != packaged_force or hand_gains.tendon):
+        tendon_forces = [
+            f"{tendon_gains.name} {tendon_gains.motion_force_N:g} N"
+            for tendon_gains in hand_gains.tendon
+        ]
+        forces_text = ", ".join([f"{force:g} N", *tendon_forces])
         print_notice(
-            f"gain motion.force_N: {force:g} N instead of the packaged {packaged_force:g} N, "
+            f"gain motion.force_N: {forces_text} instead of the packaged {packaged_force:g} N, "
             f"for a gain margin of {MIN_GAIN_MARGIN_DB:g} dB at {rate:g} Hz"
         )
     elif show_force:

@@ -1,14 +1,16 @@
-"""Default gains of a hand: the packaged gains, with ``motion.force_N`` reduced for a sufficient gain margin.
+"""Default gains of a hand: the packaged gains, with smaller motor forces for a sufficient gain margin.
 
 The packaged ``motion.force_N`` was chosen for the packaged hands. Another hand can oscillate with
-the packaged force, for example because of light motors, small pulleys or missing load cells. If a
-motion loop has a gain margin below ``MIN_PACKAGED_MARGIN_DB``, the default is the largest force
-with which every motion loop has the gain margin ``MIN_GAIN_MARGIN_DB``.
+the packaged force, for example because of light motors, small pulleys or missing load cells. The
+default force of such a digit is the largest force with which every motion loop of the digit has the
+gain margin ``MIN_GAIN_MARGIN_DB``.
 """
 
 import math
+from collections.abc import Iterable
+from functools import cache
 
-from handctl.core.gains.gains import Gains, packaged_gains
+from handctl.core.gains.gains import Gains, TendonForces, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import packaged_hands
@@ -16,24 +18,30 @@ from handctl.tune.loops.linear_models import LoopKind, open_loop
 from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
 MIN_PACKAGED_MARGIN_DB = 3.0
-"""Gain margin above which a hand keeps the packaged force [dB].
+"""Gain margin above which a digit with return springs keeps the packaged force [dB].
 
 In simulation, hands with a gain margin of 3.5 dB did not oscillate. With a smaller force, their
-tendons were slack for longer while the hand opened, and 2 of 4 runs ended with N06b.
+tendons were slack for longer while the hand opened, and 2 of 4 runs ended with N06b. A digit without
+springs keeps the packaged force only with the gain margin ``MIN_GAIN_MARGIN_DB``: antagonistic
+tendons with load cells and a gain margin of 5.1 dB oscillated (N14b).
 """
 FORCE_REDUCTION_FACTOR = 0.95
 """Factor between two values of ``motion.force_N`` that are candidates for the default."""
 MIN_FORCE_FRACTION = 0.04
-"""Smallest candidate, as a fraction of the packaged ``motion.force_N``."""
+"""Smallest candidate, as a fraction of the packaged ``motion.force_N``.
+
+With a smaller force, a digit of four joints did not follow its motion (N04) in one of three runs.
+"""
 
 
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    A packaged hand keeps its packaged gains. If a motion loop of another hand has a gain margin
-    below ``MIN_PACKAGED_MARGIN_DB``, ``motion.force_N`` is reduced, see
-    ``largest_force_with_margin``. If no force leads to a sufficient gain margin, the packaged gains
-    stay unchanged, and ``handctl config check`` warns.
+    A packaged hand keeps its packaged gains. A digit of another hand keeps the packaged force if its
+    motion loops have a sufficient gain margin, see ``MIN_PACKAGED_MARGIN_DB``, or if no smaller force
+    leads to one. ``handctl config check`` warns about the latter. For all other digits, the force is
+    reduced. The largest force of all digits is ``motion.force_N``, and tendons of digits with a smaller
+    force get a force of their own.
 
     Args:
         hand: description of the hand.
@@ -42,10 +50,59 @@ def default_gains(hand: Hand, rate_hz: float) -> Gains:
     gains = packaged_gains(hand.name)
     if hand.name in packaged_hands():
         return gains
-    if smallest_gain_margin(hand, gains, rate_hz)[1] >= MIN_PACKAGED_MARGIN_DB:
-        return gains
-    force = largest_force_with_margin(hand, gains, rate_hz)
-    return gains if force is None else _gains_with_force(gains, force)
+    force_by_digit = _default_forces(hand, gains, rate_hz)
+    common_force = max(force_by_digit.values())
+    tendon_forces = tuple(
+        TendonForces(name=hand.tendon_names[tendon], motion_force_N=force_by_digit[digit])
+        for digit, tendons in hand.digit_tendons.items()
+        for tendon in range(tendons.start, tendons.stop)
+        if force_by_digit[digit] < common_force
+    )
+    return _gains_with_force(gains, common_force).model_copy(update={"tendon": tendon_forces})
+
+
+def _default_forces(hand: Hand, gains: Gains, rate_hz: float) -> dict[str, float]:
+    """Return the default motor force of each digit [N]."""
+    candidates = _force_candidates(gains)
+
+    @cache
+    def candidate_model(index: int) -> HandModel:
+        return HandModel.from_hand(hand, _gains_with_force(gains, candidates[index]), rate_hz)
+
+    def has_margin(index: int, tendons: Iterable[int], margin_db: float) -> bool:
+        return all(_gain_margin(candidate_model(index), tendon) >= margin_db for tendon in tendons)
+
+    force_by_digit: dict[str, float] = {}
+    for digit in hand.digit:
+        tendons = hand.digit_tendons[digit.name]
+        indices = range(tendons.start, tendons.stop)
+        margin_db = MIN_PACKAGED_MARGIN_DB if digit.has_springs else MIN_GAIN_MARGIN_DB
+        low, high = 0, len(candidates) - 1
+        if has_margin(low, indices, margin_db) or not has_margin(high, indices, MIN_GAIN_MARGIN_DB):
+            force_by_digit[digit.name] = candidates[0]
+            continue
+        while high - low > 1:
+            middle = (low + high) // 2
+            if has_margin(middle, indices, MIN_GAIN_MARGIN_DB):
+                high = middle
+            else:
+                low = middle
+        force_by_digit[digit.name] = candidates[high]
+    return force_by_digit
+
+
+def _force_candidates(gains: Gains) -> list[float]:
+    """Return candidates for ``motion.force_N`` [N], from the value in the given gains downwards.
+
+    All candidates except the first are rounded down to two digits.
+    """
+    first_force = gains.motion.force_N
+    step_count = math.ceil(math.log(MIN_FORCE_FRACTION) / math.log(FORCE_REDUCTION_FACTOR))
+    smaller_forces = [
+        _rounded_down(first_force * FORCE_REDUCTION_FACTOR**step)
+        for step in range(1, step_count + 1)
+    ]
+    return [first_force, *smaller_forces]
 
 
 def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
@@ -59,16 +116,7 @@ def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float
         gains: gains whose ``motion.force_N`` is replaced.
         rate_hz: control rate of the run [Hz].
     """
-    first_force = gains.motion.force_N
-    step_count = math.ceil(math.log(MIN_FORCE_FRACTION) / math.log(FORCE_REDUCTION_FACTOR))
-    candidates = [
-        first_force,
-        *(
-            _rounded_down(first_force * FORCE_REDUCTION_FACTOR**step)
-            for step in range(1, step_count + 1)
-        ),
-    ]
-
+    candidates = _force_candidates(gains)
     tendons = list(range(len(hand.tendon)))
 
     def has_margin(index: int) -> bool:
@@ -84,7 +132,7 @@ def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float
         return True
 
     if has_margin(0):
-        return first_force
+        return candidates[0]
     # The margin increases while the force decreases, so that a bisection finds the first candidate
     # with a sufficient margin.
     low, high = 0, len(candidates) - 1
