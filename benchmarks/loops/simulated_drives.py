@@ -120,14 +120,13 @@ class CachedReplies:
             self.batches.clear()
         frames, _ = split_records(records, 0)
         replies = b"".join(map(self.replies_to, frames))
+        command_frames = frames[1:] if batch_start else frames
+        # A second SYNC frame belongs to the next tick.
         cached_replies = [
-            self.replies.get((frame.can_id, 0), b"")
-            for frame in frames
-            if frame.can_id != self.sync
+            b"" if frame.can_id == self.sync else self.replies.get((frame.can_id, 0), b"")
+            for frame in command_frames
         ]
-        if len(commands) > RECORD_SIZE and {len(reply) for reply in cached_replies} == {
-            RECORD_SIZE
-        }:
+        if len(command_frames) > 1 and {len(reply) for reply in cached_replies} == {RECORD_SIZE}:
             reply_rows = np.frombuffer(b"".join(cached_replies), np.uint8).reshape(-1, RECORD_SIZE)
             self.batches[identifiers] = CommandBatch(reply_rows.copy(), torque_bytes_of(commands))
         return replies
