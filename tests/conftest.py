@@ -168,7 +168,7 @@ class RepeatAfterStallPlugin:
                 item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Report each repeated test with the longest stall of the machine during the test."""
+        """Report each repeated test, and the longest time for which the machine stood still during the test."""
         for test, longest in self.stalls:
             terminalreporter.write_line(
                 f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"

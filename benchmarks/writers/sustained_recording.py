@@ -4,8 +4,8 @@ The results are the number of dropped ticks, and the effect of the recorder on t
 
 All ticks are computed before the measurement, so that only the recorder affects the timing of the
 control loop. Control loop and recorder run on different cores. Before and after the measurement,
-the same control loop runs without a recorder. The runs without a recorder show the effect of other
-load on the computer.
+the same control loop runs without a recorder. The runs without a recorder show how much other
+programs on the computer delay a run.
 """
 
 import os

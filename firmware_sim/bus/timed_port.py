@@ -38,7 +38,7 @@ _QUEUE_STRUCT = struct.Struct("<II")
 
 
 class TimedPort:
-    """A port of the simulator on a simulated wire.
+    """Connection of the simulator to a simulated wire.
 
     The class ``bus_ports.BusPort`` describes the methods.
 

@@ -127,7 +127,7 @@ def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int)
 
 
 def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Delay the first frame of an answer until the frames of the next answer have been sent."""
+    """Hold back the first frame of an answer. Send it after the frames of the next answer."""
     delayed_frames = [frame for _, frame in active.delayed_frames]
     active.delayed_frames = []
     if not delayed_frames and active.affects_frame():

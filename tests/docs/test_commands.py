@@ -50,7 +50,7 @@ the same commands on other pages.
 def page_test_cases() -> Iterator[Any]:
     """Yield a test case for each page that contains commands.
 
-    Each test case has the pytest markers that the page needs.
+    Each test case has pytest markers, such as the marker of tests that need a real clock.
 
     A page that starts a process in real time gets the marker for tests on the real clock.
     """

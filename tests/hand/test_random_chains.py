@@ -347,7 +347,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
 
 def test_each_number_of_a_table_matters(rng):
-    """The comparisons with pinocchio would detect a change of 0.1 % in any number of the middle link."""
+    """The comparisons with pinocchio would detect a change of 0.1 % in any property of the middle link."""
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))

@@ -7,7 +7,7 @@ from handctl.core.gains.gains import Gains
 
 @dataclass(frozen=True, slots=True)
 class PendingGains:
-    """Requested gains, with the state of the design.
+    """Requested gains, and the part of their controller design that is complete.
 
     Attributes:
         gains: all gains of the hand, including the requested changes.

@@ -3,8 +3,8 @@
 ``handctl run`` grasps a cylinder with a simulated hand in another process.
 
 In a nightly test run, the hand is commissioned before its run. In other test runs, the hand starts
-with known motor zeros and a new calibration. In the guest system, a commissioning of 7 s takes 45
-s, because the test slows the clock of the run.
+with known motor zeros and a new calibration. The test slows the clock of the run, so that a
+commissioning of 7 s takes 45 s in the guest system.
 """
 
 import json
