@@ -312,6 +312,21 @@ def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path
     assert gains.force_weights_of_tendon("long_flexor")[0] == 0.95
 
 
+def test_missing_options_of_drives_come_with_the_other_mistakes(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reproduce a defect: `config check` reported one missing option at a time, after all other mistakes were gone."""
+    write_hand('protocol = "mit"', 'protocol = "cia402"')
+    text = Path("mine.toml").read_text()
+    for position_range in ("", "position_range_rad = 12.5"):
+        Path("mine.toml").write_text(text.replace("position_range_rad = 12.5", position_range))
+        assert main(["config", "check", "--hand", "mine.toml"]) == 2
+        places = [line.split(": ")[2] for line in capsys.readouterr().err.splitlines()]
+        assert any(place.endswith(".options.rated_torque_N_m") for place in places)
+        assert any(place.endswith(".options.counts_per_turn") for place in places)
+        assert ("default.motor.position_range_rad" in places) == (not position_range)
+
+
 @pytest.mark.parametrize("plant_count", range(1, 9) if NIGHTLY else [2])
 def test_gains_are_designed_for_spool_pairs_and_springs(
     work_folder: Path, capsys: pytest.CaptureFixture[str], plant_count: int

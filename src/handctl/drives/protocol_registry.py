@@ -77,6 +77,8 @@ PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     "robstride_mit": ProtocolEntry(mit_mode.RobstrideMitDrive.from_motor, None, mit_mode.OPTIONS),
 }
 """Code of each protocol, by the name of the protocol in the hand file."""
+REQUIRED_PREFIX = "required, "
+"""Beginning of the valid values in the declaration of a required option."""
 DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
     **{name: entry.discovery for name, entry in PROTOCOL_ENTRIES.items() if entry.discovery},
     "sensor": sensor_discovery.DISCOVERY,
@@ -86,6 +88,25 @@ PROTOCOLS_WITHOUT_DISCOVERY = tuple(
     name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery
 )
 """Protocols whose drives a scan cannot discover, because the drives answer only commands."""
+
+
+def missing_options(protocol: object, options: object) -> dict[str, str]:
+    """Return the valid values and the meaning of each option that a protocol requires and a motor lacks.
+
+    The keys of the result are the names of the options. The result is empty for an unknown protocol.
+
+    Args:
+        protocol: name of the protocol in the hand file.
+        options: options of the motor in the hand file.
+    """
+    entry = PROTOCOL_ENTRIES.get(protocol) if isinstance(protocol, str) else None
+    if entry is None or not isinstance(options, Mapping):
+        return {}
+    return {
+        name: f"{option.value.removeprefix(REQUIRED_PREFIX)}: {option.meaning.rstrip('.')}"
+        for name, option in entry.options.items()
+        if option.value.startswith(REQUIRED_PREFIX) and name not in options
+    }
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:

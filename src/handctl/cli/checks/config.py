@@ -1,7 +1,7 @@
 """``handctl config``: show a hand and its derived values, check its files, or export it for other tools."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.drives.dbc_export import export_bus_dbc
-from handctl.drives.protocol_registry import make_drive
+from handctl.drives.protocol_registry import make_drive, missing_options
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import (
@@ -31,7 +31,7 @@ from handctl.hand.file.error_text import (
     with_paths_in_hand_file,
 )
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.file.templates import SCHEMA_WITHOUT_TEMPLATES
+from handctl.hand.file.templates import SCHEMA_WITHOUT_TEMPLATES, resolve_templates
 from handctl.hand.formats.link_meshes import exported_meshes, mesh_mistakes
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
@@ -92,7 +92,10 @@ def run(args: argparse.Namespace) -> int:
 def _all_errors(args: argparse.Namespace) -> list[str]:
     """Return one line for each error in a hand file and in the other files of the hand."""
     path = hand_path(args.hand)
-    hand, mistakes, origins = inspect_hand_content(read_toml(path))
+    content = read_toml(path)
+    hand, mistakes, origins = inspect_hand_content(content)
+    option_mistakes = _missing_option_mistakes(content, origins)
+    mistakes += option_mistakes
     if hand is not None:
         mistakes += group_mistakes(
             with_paths_in_hand_file(mesh_mistakes(hand, path.parent), origins)
@@ -102,7 +105,7 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
     if hand is None:
         if args.task:
             checks.append(lambda: load_task(task_path(args.task)))
-    else:
+    elif not option_mistakes:
         checks = _file_checks(args, hand)
     for check in checks:
         try:
@@ -117,6 +120,30 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
     # If an error at a key of the hand file causes another error at the same key, only the first
     # error is reported.
     return [str(error) for i, error in enumerate(errors) if error.where not in key_paths[:i]]
+
+
+def _missing_option_mistakes(
+    content: Mapping[str, Any], origins: Mapping[str, str]
+) -> list[FileMistake]:
+    """Return one mistake for each option that the protocol of a motor requires and the hand file lacks.
+
+    The function also reads a file with other mistakes, so that `config check` reports missing options
+    together with the other mistakes.
+
+    Args:
+        content: parsed content of the hand file.
+        origins: key path in the hand file, for each key path in the resolved content.
+    """
+    motors = resolve_templates(content).content.get("motor", [])
+    mistakes = [
+        FileMistake("missing", f"motor[{motor['name']}].options.{key}", expected)
+        for motor in (motors if isinstance(motors, list) else [])
+        if isinstance(motor, Mapping) and isinstance(motor.get("name"), str)
+        for key, expected in missing_options(
+            motor.get("protocol"), motor.get("options", {})
+        ).items()
+    ]
+    return group_mistakes(with_paths_in_hand_file(mistakes, origins))
 
 
 def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:

@@ -68,7 +68,8 @@ TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 """Number of counts of object 0x6076 per newton metre. An EPOS4 drive uses uN m. The standard CiA 402 uses mN m."""
 OPTIONS = {
     "rated_torque_N_m": MotorOption(
-        "required, above 0, at most 1000", "Rated torque of the motor, object 0x6076 [N m]."
+        "required, a number above 0, at most 1000",
+        "Rated torque of the motor, object 0x6076 [N m].",
     ),
     "rated_torque_unit": MotorOption(
         '"mN_m" (default) or "uN_m"', "Unit of object 0x6076. EPOS4 uses uN m."
