@@ -69,7 +69,7 @@ def motor_option_sections() -> str:
     sections = []
     for name, traits in PROTOCOL_TRAITS.items():
         rows = [
-            (quoted_code(key), option.value, option.meaning)
+            (quoted_code(key), option.value_text, option.meaning)
             for key, option in PROTOCOL_ENTRIES[name].options.items()
         ]
         sections.append(f'### `protocol = "{name}"`: {traits.title}')

@@ -25,10 +25,17 @@ class MotorOption(NamedTuple):
     Attributes:
         value: valid values, and the default.
         meaning: meaning of the option.
+        is_required: True if every motor with the protocol must have the option.
     """
 
     value: str
     meaning: str
+    is_required: bool = False
+
+    @property
+    def value_text(self) -> str:
+        """Return the valid values and the default, or the note that the option is required."""
+        return f"required, {self.value}" if self.is_required else self.value
 
 
 def motor_type_option(models: Mapping[str, Any]) -> MotorOption:
@@ -39,8 +46,9 @@ def motor_type_option(models: Mapping[str, Any]) -> MotorOption:
     """
     names = ", ".join(f'"{name}"' for name in models)
     return MotorOption(
-        f"required, one of {names}",
+        f"one of {names}",
         "Model of the motor, which determines the scale of all values in the frames.",
+        is_required=True,
     )
 
 

@@ -77,8 +77,6 @@ PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     "robstride_mit": ProtocolEntry(mit_mode.RobstrideMitDrive.from_motor, None, mit_mode.OPTIONS),
 }
 """Code of each protocol, by the name of the protocol in the hand file."""
-REQUIRED_PREFIX = "required, "
-"""Beginning of the valid values in the declaration of a required option."""
 DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
     **{name: entry.discovery for name, entry in PROTOCOL_ENTRIES.items() if entry.discovery},
     "sensor": sensor_discovery.DISCOVERY,
@@ -103,9 +101,9 @@ def missing_options(protocol: object, options: object) -> dict[str, str]:
     if entry is None or not isinstance(options, Mapping):
         return {}
     return {
-        name: f"{option.value.removeprefix(REQUIRED_PREFIX)}: {option.meaning.rstrip('.')}"
+        name: f"{option.value}: {option.meaning.rstrip('.')}"
         for name, option in entry.options.items()
-        if option.value.startswith(REQUIRED_PREFIX) and name not in options
+        if option.is_required and name not in options
     }
 
 

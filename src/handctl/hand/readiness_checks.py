@@ -280,17 +280,21 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
             for joint, width in zip(hinges, ranges, strict=True)
             if width < SMALLEST_USUAL_RANGE_DEG
         ]
-        if not any(width < SMALLEST_USUAL_RANGE_DEG for width in ranges) and hinges:
-            largest_angle = max(digit.joint_max_deg)
-            doubtful_joints += [
-                (
-                    joint,
-                    f"joint_max_deg: no joint of the digit closes beyond {largest_angle:.3g} deg; "
-                    "angles in hand files are in degrees",
-                )
-                for joint in hinges
-                if 0.0 < largest_angle <= LARGEST_ANGLE_IN_RADIANS
-            ]
+        largest_angle = max(digit.joint_max_deg, default=0.0)
+        # A small range has its own line above.
+        is_in_radians = (
+            0.0 < largest_angle <= LARGEST_ANGLE_IN_RADIANS
+            and min(ranges) >= SMALLEST_USUAL_RANGE_DEG
+        )
+        doubtful_joints += [
+            (
+                joint,
+                f"joint_max_deg: no joint of the digit closes beyond {largest_angle:.3g} deg; "
+                "angles in hand files are in degrees",
+            )
+            for joint in hinges
+            if is_in_radians
+        ]
         doubtful_joints += [
             (
                 joint,

@@ -32,6 +32,7 @@ from handctl.runtime.clocks.lockstep import (
     LockstepSimulator,
     load_simulator,
 )
+from handctl.safety.safety_action import SafetyAction
 
 CHECKED_CONTROL_PERIOD_NS = 2_000_000
 """Control period of a simulated hand that is constructed only to check its settings, and never runs [ns]."""
@@ -292,20 +293,31 @@ def simulate_controller(
     simulator: SimulatorSettings,
     on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
     max_duration_s: float = math.inf,
+    max_held_s: float = math.inf,
 ) -> ControllerState:
     """Run a controller with a simulated hand until the controller is done.
+
+    The time of a program stops while a fault holds the hand, so that a held run might never end.
 
     Args:
         controller: controller with its program.
         simulator: settings of the simulated hand.
         on_tick: function called with the input and the output of each tick.
         max_duration_s: longest duration of the run [s].
+        max_held_s: time for which faults are allowed to hold the hand, in total [s].
 
     Returns:
-        The last state of the controller.
+        The last state of the controller. The mode of the state is DONE, unless one of the two times
+        was exceeded.
     """
+    held_ticks = 0
     with simulator.begin_run(controller) as run:
         run.are_ticks_recorded = False
         for entry, tick_output in run.run_ticks(max_duration_s):
             on_tick(entry, tick_output)
+            held_ticks += (
+                tick_output.mode == HandMode.ACTIVE and tick_output.action >= SafetyAction.HOLD
+            )
+            if held_ticks * controller.model.period > max_held_s:
+                break
         return run.state

@@ -25,8 +25,11 @@ from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.run_summary import mean_angles, root_mean_square
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.safety.safety_action import SafetyAction
-from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import (
+    SimulatorSettings,
+    homed_controller,
+    simulate_controller,
+)
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
@@ -167,24 +170,19 @@ def simulate_program(
         held.
     """
     ticks: TickRecords = []
-    held_ticks = 0
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
         simulator = SimulatorSettings(
             hand, seed=seed, perturb=plant_factors, homed=True, truth=file
         )
-        with simulator.begin_run(homed_controller(model, program, hand)) as run:
-            run.are_ticks_recorded = False
-            for entry, tick_output in run.run_ticks():
-                ticks.append((entry, tick_output))
-                held_ticks += (
-                    tick_output.mode == HandMode.ACTIVE and tick_output.action >= SafetyAction.HOLD
-                )
-                if held_ticks * model.period > MAX_HELD_S:
-                    break
-            failure = run.state.failure
-        if held_ticks * model.period > MAX_HELD_S:
-            failure = f"held for {MAX_HELD_S:g} s by {_last_fault(ticks)}"
+        state = simulate_controller(
+            homed_controller(model, program, hand),
+            simulator,
+            lambda entry, out: ticks.append((entry, out)),
+            max_held_s=MAX_HELD_S,
+        )
+        is_done = state.mode == HandMode.DONE
+        failure = state.failure if is_done else f"held for {MAX_HELD_S:g} s by {_last_fault(ticks)}"
         return ticks, read_truth(file), failure
 
 

@@ -153,7 +153,8 @@ def default_gains(
         if margin_db < margin_gains.MIN_PACKAGED_MARGIN_DB:
             print_notice(
                 f"gain motion.force_N: {force:g} N leave {name} a gain margin of {margin_db:.1f} dB, no smaller value "
-                "gives 6 dB, and the hand may oscillate (N07, N14b); try --gain motion.force_N=3 or handctl tune design"
+                f"gives {MIN_GAIN_MARGIN_DB:g} dB, and the hand may oscillate (N07, N14b); try a smaller --gain "
+                "motion.force_N, or handctl tune design"
             )
     return hand_gains
 

@@ -68,15 +68,17 @@ TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 """Number of counts of object 0x6076 per newton metre. An EPOS4 drive uses uN m. The standard CiA 402 uses mN m."""
 OPTIONS = {
     "rated_torque_N_m": MotorOption(
-        "required, a number above 0, at most 1000",
+        "a number above 0, at most 1000",
         "Rated torque of the motor, object 0x6076 [N m].",
+        is_required=True,
     ),
     "rated_torque_unit": MotorOption(
         '"mN_m" (default) or "uN_m"', "Unit of object 0x6076. EPOS4 uses uN m."
     ),
     "counts_per_turn": MotorOption(
-        f"required, a whole number from 1 to {1 << 24}",
+        f"a whole number from 1 to {1 << 24}",
         "Counts of the encoder per turn, object 0x608F.",
+        is_required=True,
     ),
     "gear_ratio": MotorOption(
         "above 0, at most 1000 (default: 1)", "Turns of the motor per turn of the spool."

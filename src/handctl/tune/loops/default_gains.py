@@ -7,8 +7,8 @@ gain margin ``MIN_GAIN_MARGIN_DB``.
 """
 
 import math
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 
 from handctl.core.gains.gains import Gains, TendonForces, packaged_gains
 from handctl.core.hand_model import HandModel
@@ -69,7 +69,7 @@ def _default_forces(hand: Hand, gains: Gains, rate_hz: float) -> dict[str, float
     def candidate_model(index: int) -> HandModel:
         return HandModel.from_hand(hand, _gains_with_force(gains, candidates[index]), rate_hz)
 
-    def has_margin(index: int, tendons: Iterable[int], margin_db: float) -> bool:
+    def has_margin(tendons: Iterable[int], margin_db: float, index: int) -> bool:
         return all(_gain_margin(candidate_model(index), tendon) >= margin_db for tendon in tendons)
 
     force_by_digit: dict[str, float] = {}
@@ -77,18 +77,31 @@ def _default_forces(hand: Hand, gains: Gains, rate_hz: float) -> dict[str, float
         tendons = hand.digit_tendons[digit.name]
         indices = range(tendons.start, tendons.stop)
         margin_db = MIN_PACKAGED_MARGIN_DB if digit.has_springs else MIN_GAIN_MARGIN_DB
-        low, high = 0, len(candidates) - 1
-        if has_margin(low, indices, margin_db) or not has_margin(high, indices, MIN_GAIN_MARGIN_DB):
-            force_by_digit[digit.name] = candidates[0]
-            continue
-        while high - low > 1:
-            middle = (low + high) // 2
-            if has_margin(middle, indices, MIN_GAIN_MARGIN_DB):
-                high = middle
-            else:
-                low = middle
-        force_by_digit[digit.name] = candidates[high]
+        best_index: int | None = 0
+        if not has_margin(indices, margin_db, 0):
+            best_index = _first_with_margin(
+                len(candidates), partial(has_margin, indices, MIN_GAIN_MARGIN_DB)
+            )
+        force_by_digit[digit.name] = candidates[best_index or 0]
     return force_by_digit
+
+
+def _first_with_margin(candidate_count: int, has_margin: Callable[[int], bool]) -> int | None:
+    """Return the index of the first candidate with a sufficient margin, or None if the last has none.
+
+    The margin increases while the force decreases, so that a bisection finds the candidate.
+
+    Args:
+        candidate_count: number of candidates. The first candidate has no sufficient margin.
+        has_margin: function that returns True if the candidate with an index has a sufficient margin.
+    """
+    low, high = 0, candidate_count - 1
+    if not has_margin(high):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if has_margin(middle) else (middle, high)
+    return high
 
 
 def _force_candidates(gains: Gains) -> list[float]:
@@ -133,15 +146,8 @@ def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float
 
     if has_margin(0):
         return candidates[0]
-    # The margin increases while the force decreases, so that a bisection finds the first candidate
-    # with a sufficient margin.
-    low, high = 0, len(candidates) - 1
-    if not has_margin(high):
-        return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if has_margin(middle) else (middle, high)
-    return candidates[high]
+    index = _first_with_margin(len(candidates), has_margin)
+    return None if index is None else candidates[index]
 
 
 def smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str, float]:
