@@ -39,8 +39,10 @@ HOLD_TENSION_N = 5.0
 """Tension of each tendon after its drive was enabled [N]."""
 DATA_OFFSET = RECORD_SIZE - CANFD_PAYLOAD_BYTES
 """Offset of the payload in a frame record [bytes]."""
+TORQUE_BYTES = slice(6, 8)
+"""Bytes of a command's payload that contain the torque."""
 REPLY_TORQUE_OFFSET = DATA_OFFSET + 4
-COMMAND_TORQUE_OFFSET = DATA_OFFSET + 6
+COMMAND_TORQUE_OFFSET = DATA_OFFSET + TORQUE_BYTES.start
 """Offsets of the first torque byte in the record of a reply, and in the record of a command [bytes].
 
 The low half of the first torque byte contains the highest 4 bits of the torque. The next byte
@@ -50,38 +52,35 @@ HIGH_HALF = 0xF0
 LOW_HALF = 0x0F
 
 
-@dataclass
+@dataclass(frozen=True)
 class CommandBatch:
     """Stored replies of the drives to the commands of one tick. The commands arrive together.
 
     Attributes:
+        nodes: (drives,) node number of each drive, in the order of the commands.
         replies: (drives, ``RECORD_SIZE``) reply of each drive, as the bytes of a frame record.
-        last_torques: (drives, 2) torque bytes of the preceding command of each drive.
     """
 
+    nodes: NDArray[np.intp]
     replies: NDArray[np.uint8]
-    last_torques: NDArray[np.uint8]
 
-    def replies_to(self, commands: bytes) -> bytes:
+    def replies_to(self, commands: bytes, last_torques: NDArray[np.uint8]) -> bytes:
         """Return the replies of all drives to the commands of one tick, as frame records.
 
         Each reply contains the torque of the preceding command to the same drive.
+
+        Args:
+            commands: frame records of the commands.
+            last_torques: (nodes, 2) torque bytes of the preceding command to each node, which become
+                those of the given commands.
         """
-        torque_bytes = torque_bytes_of(commands)
+        preceding_torques = last_torques[self.nodes]
         self.replies[:, REPLY_TORQUE_OFFSET] &= HIGH_HALF
-        self.replies[:, REPLY_TORQUE_OFFSET] |= self.last_torques[:, 0] & LOW_HALF
-        self.replies[:, REPLY_TORQUE_OFFSET + 1] = self.last_torques[:, 1]
-        self.last_torques = torque_bytes
+        self.replies[:, REPLY_TORQUE_OFFSET] |= preceding_torques[:, 0] & LOW_HALF
+        self.replies[:, REPLY_TORQUE_OFFSET + 1] = preceding_torques[:, 1]
+        records = np.frombuffer(commands, np.uint8).reshape(-1, RECORD_SIZE)
+        last_torques[self.nodes] = records[:, COMMAND_TORQUE_OFFSET : COMMAND_TORQUE_OFFSET + 2]
         return self.replies.tobytes()
-
-
-def torque_bytes_of(commands: bytes) -> NDArray[np.uint8]:
-    """Return the two torque bytes of each command, as an array (commands, 2).
-
-    The argument contains the frame records of the commands.
-    """
-    records = np.frombuffer(commands, np.uint8).reshape(-1, RECORD_SIZE)
-    return records[:, COMMAND_TORQUE_OFFSET : COMMAND_TORQUE_OFFSET + 2]
 
 
 class CachedReplies:
@@ -98,7 +97,7 @@ class CachedReplies:
     def __init__(self, hand_name: str) -> None:
         self.rig = LockstepHand(hand_name, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
-        self.last_commands: dict[int, bytes] = {}
+        self.last_torques = np.zeros((LARGEST_MOTOR_ID + 1, 2), np.uint8)
         self.sync = self.rig.world.hand.sensors.sync_id
         self.sync_count = 0
         self.batches: dict[bytes, CommandBatch] = {}
@@ -115,7 +114,7 @@ class CachedReplies:
         batch = self.batches.get(identifiers)
         if batch and SPECIAL_COMMAND_PREFIX not in commands:
             sync_replies = self.replies_to(frame_of(records)) if batch_start else b""
-            return sync_replies + batch.replies_to(commands)
+            return sync_replies + batch.replies_to(commands, self.last_torques)
         if SPECIAL_COMMAND_PREFIX in commands:
             self.batches.clear()
         frames, _ = split_records(records, 0)
@@ -128,7 +127,8 @@ class CachedReplies:
         ]
         if len(command_frames) > 1 and {len(reply) for reply in cached_replies} == {RECORD_SIZE}:
             reply_rows = np.frombuffer(b"".join(cached_replies), np.uint8).reshape(-1, RECORD_SIZE)
-            self.batches[identifiers] = CommandBatch(reply_rows.copy(), torque_bytes_of(commands))
+            nodes = np.array([frame.can_id for frame in command_frames], np.intp)
+            self.batches[identifiers] = CommandBatch(nodes, reply_rows.copy())
         return replies
 
     def replies_to(self, frame: Frame) -> bytes:
@@ -150,9 +150,11 @@ class CachedReplies:
             reply = self.replies[key]
             if frame.can_id == self.sync:
                 return reply
-            previous_command = self.last_commands.get(frame.can_id, frame.data)
-            self.last_commands[frame.can_id] = frame.data
-            return with_torque_of_command(reply, previous_command)
+            preceding_torque = self.last_torques[frame.can_id].tobytes()
+            self.last_torques[frame.can_id] = tuple(frame.data[TORQUE_BYTES])
+            return with_torque(reply, preceding_torque)
+        if frame.can_id != self.sync:
+            self.last_torques[frame.can_id] = tuple(frame.data[TORQUE_BYTES])
         answer_frames = self.rig.world.receive(frame)
         records = b"".join(map(pack_record, answer_frames))
         if frame.can_id == self.sync or (
@@ -178,15 +180,17 @@ class CachedReplies:
         raise RuntimeError(f"the tendon of node {node_id:#x} does not become taut")
 
 
-def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
+def with_torque(reply: bytes, torque_bytes: bytes) -> bytes:
     """Copy the torque of a command into the stored reply of a drive, and return the changed reply.
 
-    The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
-    bits of byte 5 contain the torque. The torques of command and reply have the same scale.
+    The lowest 12 bits of the two torque bytes contain the torque. In the reply, 4 bits of byte 4 and
+    all bits of byte 5 contain the torque. The torques of command and reply have the same scale.
     """
     record = bytearray(reply)
-    record[REPLY_TORQUE_OFFSET] = reply[REPLY_TORQUE_OFFSET] & HIGH_HALF | command[6] & LOW_HALF
-    record[REPLY_TORQUE_OFFSET + 1] = command[7]
+    record[REPLY_TORQUE_OFFSET] = (
+        reply[REPLY_TORQUE_OFFSET] & HIGH_HALF | torque_bytes[0] & LOW_HALF
+    )
+    record[REPLY_TORQUE_OFFSET + 1] = torque_bytes[1]
     return bytes(record)
 
 
