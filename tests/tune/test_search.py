@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from handctl.core.gains.gains import Gains, MotionGains
+from handctl.core.gains.gains import Gains, MotionGains, packaged_gains
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
@@ -27,6 +27,7 @@ from handctl.tune.search.gain_search import (
     _make_sampler,
     _open_study,
     run_search,
+    without_uncommissionable_trials,
 )
 from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import DaskCluster, InProcessWorkers, ProcessPool, SearchWorkers
@@ -358,6 +359,41 @@ def test_only_good_trials_are_chosen() -> None:
     assert chosen_result.best == best
     assert chosen_result.pareto_front == (1, 2)
     assert chosen_result.relative_cost(first_trial) == pytest.approx(1.0)
+
+
+def test_gains_that_cannot_commission_the_hand_are_not_chosen() -> None:
+    """The best trial of a search can commission the hand.
+
+    With the gains of the trial that a search for the hand orca_like chose, a pull with 3 N made a
+    motor force of only 1.7 N. The commissioning therefore failed.
+    """
+    plan = SearchPlan(
+        load_hand("orca_like").to_toml(),
+        400.0,
+        packaged_gains("orca_like"),
+        ({"stiffness": 0.85, "friction": 1.2},),
+        seed=5,
+        trials=3,
+    )
+    weak_values = {
+        "motion.tension_feedback": 0.57,
+        "tension.tension_error_N": 44.0,
+        "tension.integral_per_s": 0.43,
+        "filter.motor_disturbance_N": 0.033,
+        "filter.free_rate_N_per_s": 192.0,
+    }
+    trials = (
+        SearchTrial(0, {}, GainScore(2.0, 4.0, 100.0, 60.0, 0.5)),
+        SearchTrial(1, weak_values, GainScore(1.0, 2.0, 10.0, 60.0, -0.1)),
+        SearchTrial(2, {}, GainScore(1.5, 3.0, 10.0, 60.0, -0.1)),
+    )
+    shown_trials: list[SearchTrial] = []
+    result = without_uncommissionable_trials(
+        plan, SearchResult.from_trials(trials), shown_trials.append
+    )
+    assert result.best == trials[2]
+    assert shown_trials == [trials[1], trials[2]]
+    assert "answers" in result.trials[1].score.failure
 
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:

@@ -98,13 +98,14 @@ def collect_tendon_constants(hand: Hand, digits: tuple[DigitModel, ...]) -> Tend
         load_stiffness=load[1],
         load_damping=load[2],
         spool_radius=spool,
-        encoder_step=np.array([_position_step(motors[tendon.motor]) for tendon in tendons]) * spool,
+        encoder_step=np.array([motor_position_step(motors[tendon.motor]) for tendon in tendons])
+        * spool,
         tension_noise=np.full(len(tendons), hand.sensor_node.tension_noise_N),
         has_cell=hand.has_cell.astype(np.float64),
     )
 
 
-def _position_step(motor: Motor) -> float:
+def motor_position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
     The resolution follows from the protocol of the drive. The result is at least 1/65536 of the

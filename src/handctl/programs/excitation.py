@@ -2,6 +2,10 @@
 
 One digit moves at a time, and the motors of all other digits make no torque.
 
+Load cells drift, and the tendons of a digit can be slack for several minutes while other digits
+move. If the load cell of a slack tendon drifted by 4 N, its reading would look like a broken wire
+(fault T06). Therefore the load cells of slack tendons are tared again before each digit moves.
+
 The identification chooses the steps of the excitation. In the log, the name of each phase consists
 of the digit and the step. Therefore every tick of the log can be assigned to a step.
 """
@@ -22,6 +26,17 @@ from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordin
 
 TAUT_TIMEOUT_S = 4.0
 """Longest time in which an intact tendon becomes taut [s]."""
+TARE_STEP_NAME = "tare"
+"""Name of the step in which the load cells of slack tendons are tared again."""
+TARE_DURATION_S = 0.5
+"""Duration of the step ``tare`` [s]."""
+MIN_SLACK_FRACTION = 0.5
+"""Smallest fraction of the step ``tare`` in which a tendon must be slack, so that its load cell is tared again."""
+MAX_TARE_CHANGE_N = 4.0
+"""Largest change of a load cell's tare during an excitation [N].
+
+A load cell that drifts farther is defective.
+"""
 
 
 class ExciteStep(Document):
@@ -126,8 +141,12 @@ class ExciteProgram:
                 progress, finished=True, failure=f"{step.digit}: {text}", goals=zero_torque_goals
             )
             return progress_after_failure, (TickEvent("error", "identify", step.digit, text),)
+        if step.name == TARE_STEP_NAME:
+            progress = _with_slack_readings(model, progress, estimate, measurements, tendons)
         if elapsed < step.duration_s:
             return progress, ()
+        if step.name == TARE_STEP_NAME:
+            progress = _with_renewed_tare(model, progress, step.duration_s)
         return self._enter_step(model, progress, estimate, t, progress.step + 1)
 
     def _enter_step(
@@ -160,6 +179,48 @@ class ExciteProgram:
         )
         # Consecutive steps with the same name are a single phase in the log.
         return progress, () if is_same_phase else (TickEvent("info", "phase", step.digit, phase),)
+
+
+def _with_slack_readings(
+    model: HandModel,
+    progress: ProgramProgress,
+    estimate: HandEstimate,
+    measurements: TickMeasurements,
+    excited_tendons: slice,
+) -> ProgramProgress:
+    """Return a copy of the progress whose record includes the load-cell readings of slack tendons in this tick.
+
+    The record is a table (2, N). The first row has the sum of the readings of each tendon [N], and
+    the second row has the number of readings. The readings of the excited digit are not used,
+    because the identification determines the offsets of these load cells.
+    """
+    table = np.array(progress.record or (0.0,) * (2 * model.tendon_count)).reshape(2, -1)
+    is_usable = estimate.is_slack & ~np.isnan(measurements.tension)
+    is_usable[excited_tendons] = False
+    table[0, is_usable] += measurements.tension[is_usable]
+    table[1, is_usable] += 1.0
+    return replace(progress, record=tuple(table.ravel().tolist()))
+
+
+def _with_renewed_tare(
+    model: HandModel, progress: ProgramProgress, duration_s: float
+) -> ProgramProgress:
+    """Return a copy of the progress with new tares and an empty record.
+
+    A load cell is tared again if its tendon was slack during most of the step ``tare``.
+
+    Args:
+        model: model of the hand.
+        progress: progress at the end of the step ``tare``.
+        duration_s: duration of the step [s].
+    """
+    sums, counts = np.array(progress.record).reshape(2, -1)
+    tare = np.array(progress.tare or (0.0,) * model.tendon_count)
+    new_tare = tare + sums / np.maximum(counts, 1.0)
+    is_renewed = (counts * model.period >= MIN_SLACK_FRACTION * duration_s) & (
+        np.abs(new_tare) <= MAX_TARE_CHANGE_N
+    )
+    return replace(progress, record=(), tare=tuple(np.where(is_renewed, new_tare, tare).tolist()))
 
 
 def _digit_goal(

@@ -21,6 +21,7 @@ from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
+from handctl.programs.commission import CommissionProgram
 from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.run_summary import mean_angles, root_mean_square
@@ -106,10 +107,7 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
     Returns:
         The `GainScore`, as a table.
     """
-    hand = hand_from_content(tomllib.loads(score_job["hand"]), "the hand of the search")
-    # A job from another process contains lists in place of tuples.
-    gains = validate_content(score_job["gains"], Gains, "the gains of the search")
-    model = HandModel.from_hand(hand, gains, float(score_job["rate_hz"]))
+    hand, model = _job_hand_and_model(score_job)
     plants = score_job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and score_job.get("must_keep_margins", False):
@@ -128,6 +126,34 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
     return _score_table(
         GainScore(tracking, tension, effort, peak, shortfall, blocked=blocked_names)
     )
+
+
+def commissioning_failure(score_job: Mapping[str, Any]) -> str:
+    """Commission every simulated plant of a job, and return the reason of the first failure.
+
+    With gains that are too low for the friction of the hand, a pull of a tendon ends before the
+    tendon has the tension of the pull. Such a hand cannot be commissioned. If all plants can be
+    commissioned, the reason is an empty text.
+
+    Args:
+        score_job: table with the same keys as in ``evaluate_job``.
+    """
+    hand, model = _job_hand_and_model(score_job)
+    for i, factors in enumerate(score_job["plants"]):
+        *_, failure_text = simulate_program(
+            hand, model, CommissionProgram(), factors, int(score_job["seed"]) + i
+        )
+        if failure_text:
+            return failure_text
+    return ""
+
+
+def _job_hand_and_model(score_job: Mapping[str, Any]) -> tuple[Hand, HandModel]:
+    """Return the hand of a job, and the model of this hand with the gains of the job."""
+    hand = hand_from_content(tomllib.loads(score_job["hand"]), "the hand of the search")
+    # A job from another process contains lists in place of tuples.
+    gains = validate_content(score_job["gains"], Gains, "the gains of the search")
+    return hand, HandModel.from_hand(hand, gains, float(score_job["rate_hz"]))
 
 
 def _score_table(score: GainScore) -> dict[str, Any]:

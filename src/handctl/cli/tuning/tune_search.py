@@ -34,7 +34,11 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if no trial has large enough stability margins.
     """
-    from handctl.tune.search.gain_search import SearchPlan, run_search
+    from handctl.tune.search.gain_search import (
+        SearchPlan,
+        run_search,
+        without_uncommissionable_trials,
+    )
     from handctl.tune.search.workers import make_workers
     from handctl.tune.tuning_figures import draw_search
 
@@ -59,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
         worker_pool = make_workers(worker_count, args.scheduler)
         try:
             result = run_search(plan, storage, worker_pool, progress.show_result)
+            result = without_uncommissionable_trials(plan, result, progress.show_commissioning)
         except KeyboardInterrupt as error:
             raise type(error)(f"interrupted; the same command continues with {storage}") from None
         finally:
@@ -89,12 +94,13 @@ def _report_infeasible(
     picture_path: Path,
     trials: int,
 ) -> int:
-    """Report that no trial has large enough stability margins, and return the exit code."""
+    """Report that no trial has large enough margins and commissions the hand, and return the exit code."""
     if args.json:
         print_json(_report_fields(search_result, storage_path, None, picture_path))
     else:
         print(
-            f"no trial keeps the margins on every plant; look at {picture_path}, and try --trials {2 * trials}"
+            "no trial keeps the margins and commissions the hand on every plant; "
+            f"look at {picture_path}, and try --trials {2 * trials}"
         )
     return ExitCode.FAILED
 
@@ -169,6 +175,13 @@ class _SearchProgress:
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
             self._next = time.monotonic() + 5.0
             self._console.print(f"trial {len(search_result.trials)}: {text}")
+
+    def show_commissioning(self, trial: Any) -> None:
+        """Show that the plants are commissioned with the gains of a trial."""
+        text = f"commissioning with the gains of trial {trial.number}"
+        self._bar.update(self._task, description=text)
+        if not self._quiet and self._bar.disable:
+            self._console.print(text)
 
 
 def _report_fields(

@@ -6,10 +6,13 @@ digit.
 
 import math
 
+import numpy as np
+
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.programs.excitation import ExciteStep
+from handctl.programs.excitation import TARE_DURATION_S, TARE_STEP_NAME, ExciteStep
+from handctl.tune.identify.clear_range import highest_clear_coordinates
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0
@@ -17,10 +20,15 @@ SWEEP_MARGIN_DEG = 6.0
 SWEEP_TOP_DEG = 32.0
 """Upper end of free sweeps, as a joint angle from the open stop [deg].
 
-At larger joint angles, the fingers of the packaged hands touch the thumb or the palm.
+At larger joint angles, the fingers of the hand jamia touch the thumb or the palm. If a digit touches
+another digit at a smaller angle, its sweeps end before the contact.
 """
+MIN_SWEEP_DEG = 5.0
+"""Smallest range of the free sweeps from which the parameters can be identified [deg]."""
 SWING_AMPLITUDE_DEG = 9.0
-"""Amplitude of the sinusoidal swing of the joints [deg]."""
+"""Largest amplitude of the sinusoidal swing of the joints [deg]."""
+SWING_RANGE_FRACTION = 0.35
+"""Largest amplitude of the swing, as a fraction of the range of the sweeps."""
 SWING_MIN_FREQUENCY_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
 SWING_MAX_FREQUENCY_HZ = 6.0
@@ -144,9 +152,9 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
-    low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
+    low, high = _sweep_range(hand, digit)
     middle_angle = 0.5 * (low + high)
-    swing_amplitude = math.radians(SWING_AMPLITUDE_DEG)
+    swing_amplitude = min(math.radians(SWING_AMPLITUDE_DEG), SWING_RANGE_FRACTION * (high - low))
     upper_stretch_tension = STRETCH_UPPER_FRACTION * lift_off_tension(hand, digit)
     released_tension, medium_tension, high_tension = (
         fraction * max_tension for fraction in PRESS_TENSION_FRACTIONS
@@ -195,7 +203,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         for goal in (upper_stretch_tension, MIN_TENSION_N)
     ]
     return [
-        excite_step("tare", "limp", 0.5),
+        excite_step(TARE_STEP_NAME, "limp", TARE_DURATION_S),
         excite_step("taut", "taut", 0.4, floor, 40.0),
         *stretch,
         excite_step("approach", "move", 0.4, low),
@@ -212,11 +220,28 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
 
 def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
-    """Return the smallest and the largest joint angle in the free sweeps of a digit [deg]."""
+    """Return the smallest and the largest coordinate in the free sweeps of a digit [rad].
+
+    Raises:
+        ConfigError: the digit touches another digit when it is almost open.
+    """
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)
     upper = min(digit_file.joint_max_deg)
-    return lower + SWEEP_MARGIN_DEG, min(lower + SWEEP_TOP_DEG, upper - SWEEP_MARGIN_DEG)
+    low = math.radians(lower + SWEEP_MARGIN_DEG)
+    high = math.radians(min(lower + SWEEP_TOP_DEG, upper - SWEEP_MARGIN_DEG))
+    count = DigitModel.from_hand(hand, digit).coupling.shape[1]
+    high = float(
+        highest_clear_coordinates(hand, digit, np.full(count, low), np.full(count, high))[0]
+    )
+    if high - low < math.radians(MIN_SWEEP_DEG):
+        problem = f"touches another digit at {math.degrees(high):.0f} deg"
+        raise ConfigError(
+            problem,
+            f"digit {digit}",
+            f"at least {MIN_SWEEP_DEG:g} deg of free motion, or other --digits",
+        )
+    return low, high
 
 
 def lift_off_tension(hand: Hand, digit: str) -> float:

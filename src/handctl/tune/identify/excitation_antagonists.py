@@ -17,7 +17,8 @@ from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.link_tree import LinkTree
-from handctl.programs.excitation import ExciteStep
+from handctl.programs.excitation import TARE_DURATION_S, TARE_STEP_NAME, ExciteStep
+from handctl.tune.identify.clear_range import highest_clear_coordinates
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. At smaller joint angles, a thumb can touch the palm."""
@@ -105,6 +106,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     """
     digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
+    high = highest_clear_coordinates(hand, name, low, high)
     middle_angles = 0.5 * (low + high)
     half_range = 0.5 * (high - low)
 
@@ -166,7 +168,10 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
                         held=True,
                     )
                 )
+    # Spool pairs have no load cells to tare.
+    tare_steps = [] if pairs else [excite_step(TARE_STEP_NAME, "limp", TARE_DURATION_S)]
     return [
+        *tare_steps,
         excite_step(
             "taut",
             "tension" if pairs else "taut",

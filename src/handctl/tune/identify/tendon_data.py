@@ -12,11 +12,12 @@ from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each_tick
+from handctl.programs.excitation import TARE_STEP_NAME
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLACK_STEP_NAMES = ("tare",)
+SLACK_STEP_NAMES = (TARE_STEP_NAME,)
 """Names of the steps of an excitation in which the tendon is slack."""
 STOP_STEP_NAMES = ("stretch",)
 """Names of the excitation steps in which the tendon is taut and the digit is at its open stop."""

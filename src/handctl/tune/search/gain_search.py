@@ -12,14 +12,14 @@ import fcntl
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
-from handctl.tune.scoring import GainScore
+from handctl.tune.scoring import GainScore, commissioning_failure
 from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
@@ -187,6 +187,35 @@ def run_search(
         while len(_finished_trials(study)) < plan.trials:
             _run_batch(study, plan, workers, show_result)
         return SearchResult.from_trials(_finished_trials(study))
+
+
+def without_uncommissionable_trials(
+    plan: SearchPlan, result: SearchResult, show_trial: Callable[[SearchTrial], None]
+) -> SearchResult:
+    """Return a result whose best trial can commission every plant.
+
+    The exercise begins with a commissioned hand, so that its score does not show whether the gains
+    can commission the hand. The function commissions the plants with the gains of the best trial.
+    If a plant cannot be commissioned, the trial counts as failed, and the next trial is the best.
+
+    Args:
+        plan: plan of the search.
+        result: result of the search.
+        show_trial: function that is called before the plants are commissioned with a trial's gains.
+    """
+    while result.best is not None:
+        best = result.best
+        show_trial(best)
+        failure_text = commissioning_failure(plan.trial_job(best.number, best.values))
+        if not failure_text:
+            return result
+        failed_trial = replace(
+            best, score=replace(best.score, failure=f"commissioning: {failure_text}")
+        )
+        result = SearchResult.from_trials(
+            tuple(failed_trial if trial is best else trial for trial in result.trials)
+        )
+    return result
 
 
 @contextmanager
