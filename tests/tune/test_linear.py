@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from control import frd, ss, stability_margins
 
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.tune.loops import linear_models
@@ -128,3 +128,37 @@ def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0
+
+
+@pytest.mark.parametrize("digit_name", ["index", "thumb"])
+def test_margins_hardly_depend_on_small_changes_of_a_moment_arm(digit_name: str) -> None:
+    """Reproduce a defect: with identified moment arms, the loops of the hand n_plus_1 counted as unstable.
+
+    The control law keeps one tension of such a digit at the tension floor. The linear law was the
+    mean of the laws on both sides of this kink, or the law on one side, depending on the rounding.
+    """
+    hand = load_hand("n_plus_1")
+    gains = packaged_gains("n_plus_1")
+    changed_tendons = tuple(
+        tendon.model_copy(
+            update={
+                "moment_arm_m": {
+                    joint: arm * (1.0 + 1e-4 * (i % 3 - 1))
+                    for joint, arm in tendon.moment_arm_m.items()
+                }
+            }
+        )
+        for i, tendon in enumerate(hand.tendon)
+    )
+    changed_hand = hand.model_copy(update={"tendon": changed_tendons})
+    tendon = hand.digit_tendons[digit_name].start
+    margins, changed_margins = (
+        margins_of_loop(
+            open_loop(HandModel.from_hand(each_hand, gains, 250.0), tendon, LoopKind.MOTION)
+        )
+        for each_hand in (hand, changed_hand)
+    )
+    assert margins.are_sufficient
+    assert changed_margins.stable
+    assert changed_margins.gain_db == pytest.approx(margins.gain_db, rel=0.01)
+    assert changed_margins.phase_deg == pytest.approx(margins.phase_deg, rel=0.01)

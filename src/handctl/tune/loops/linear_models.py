@@ -348,7 +348,12 @@ class _LinearController:
             model, torque_limit=unreachable_limits, tendon_constants=tendon_constants
         )
         self.layout: BlockLayout = layout_of_state(model, 1)
-        self._constants = HandConstants(self.model, {})
+        # In a digit with more tendons than coordinates, one tension goal is always at the tension
+        # floor. Feedback that lowers this tension raises all tensions of the digit instead, so that
+        # the control law has a kink at the operating point. The raised tensions make no joint
+        # torque, and are no part of the motion loop. The linear law therefore has no floor.
+        floor = np.where(model.redundancy.has_surplus, -UNREACHABLE_LIMIT, model.floor)
+        self._constants = HandConstants(self.model, {"floor": floor})
         self._constant_args = self._constants.block, self._constants.layout.offsets
 
     def run_filter(self, block: BlockArray) -> None:
