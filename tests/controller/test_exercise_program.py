@@ -1,26 +1,41 @@
 """Test the goals of each digit in each stage of the exercise program."""
 
+import mujoco
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
-from handctl.hand.hand_loading import load_hand
-from handctl.programs.gains_exercise import GENTLE_TENSION_RATE_N_PER_S, ExerciseProgram
+from handctl.hand.digit import DigitModel
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.hand_loading import load_hand, packaged_hands
+from handctl.programs.gains_exercise import (
+    FULL_MOVE_RAD,
+    GENTLE_TENSION_RATE_N_PER_S,
+    HOME_ANGLE_RAD,
+    ExerciseProgram,
+    _coordinate_scales,
+)
+from handctl.tune.scoring import score_exercise
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
 
+FULL_EXERCISE = ExerciseProgram()
 StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
 """Name of a stage, the goals of all digits, and flags of the digits that rest on a stop or on an object."""
 
 
-def exercise_stages(model: HandModel) -> list[StageRecord]:
-    """Return the stages of the exercise program in the order of execution.
+def exercise_stages(
+    model: HandModel, program: ExerciseProgram = FULL_EXERCISE
+) -> list[StageRecord]:
+    """Return the stages of an exercise program in the order of execution.
 
     The function runs the exercise program with the estimate of a hand that is at rest and has taut
     tendons.
     """
-    program, t = ExerciseProgram(), 0.0
+    t = 0.0
     progress = program.initial_progress(model)
     taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)
     records: list[StageRecord] = []
@@ -85,3 +100,55 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     assert all(
         rates_of_stage == {default_rate} for stage, rates_of_stage in rates if stage == "hold"
     )
+
+
+def test_fingers_that_would_touch_each_other_exercise_in_turns() -> None:
+    """Reproduce a defect: both fingers of the hand t42 closed at once, and blocked each other at 6 deg.
+
+    `tune verify` therefore always failed, and `tune search` had no tracking error to compare.
+    """
+    hand = load_hand("t42")
+    program = ExerciseProgram.for_hand(hand)
+    assert program.turns == (("left",), ("right",))
+    model = HandModel.from_hand(hand, packaged_gains("t42"), 500.0)
+    score = score_exercise(hand, model, {}, 0)
+    assert not score.failure
+    assert not score.blocked
+    moved_digits = [
+        {
+            name
+            for name, goal in zip(hand.digit_names, goals, strict=True)
+            if goal.kind == GoalKind.MOTION
+        }
+        for stage, goals, _ in exercise_stages(model, program)
+        if stage == "move"
+    ]
+    assert moved_digits == [{"left"}] * 4 + [{"right"}] * 4
+
+
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_digits_of_a_hand_exercise_without_a_contact(hand_name: str) -> None:
+    """In the moves of the exercise, the links of different digits do not touch in MuJoCo's model of the hand."""
+    hand = load_hand(hand_name)
+    program = ExerciseProgram.for_hand(hand)
+    mujoco_model = mujoco.MjModel.from_xml_string(mjcf_text(hand))
+    mujoco_data = mujoco.MjData(mujoco_model)
+    palm = mujoco_model.body("palm").id
+    open_angles = np.clip(np.zeros(len(hand.joints)), *hand.joint_limits)
+
+    def contact_pairs(q: NDArray[np.float64]) -> set[tuple[int, int]]:
+        mujoco_data.qpos[: len(q)] = q
+        mujoco.mj_forward(mujoco_model, mujoco_data)
+        pairs = set(map(tuple, mujoco_data.contact.geom.tolist()))
+        return {pair for pair in pairs if palm not in mujoco_model.geom_bodyid[list(pair)]}
+
+    # Some neighbouring links of a packaged hand overlap in every posture.
+    neighbours = contact_pairs(open_angles)
+    angle = HOME_ANGLE_RAD + program.amplitudes[0] * FULL_MOVE_RAD
+    all_digits = tuple(name for name in hand.digit_names if name not in hand.carrier_digits)
+    for turn in program.turns or (all_digits,):
+        q = open_angles.copy()
+        for name in turn:
+            digit = DigitModel.from_hand(hand, name)
+            q[digit.joints] = digit.coupling @ (angle * _coordinate_scales(digit))
+        assert contact_pairs(q) <= neighbours, turn

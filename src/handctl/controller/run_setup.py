@@ -90,6 +90,7 @@ class ExerciseSetup(Document):
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
+    turns: tuple[tuple[str, ...], ...] = ()
 
 
 class ExciteSetup(Document):
@@ -376,8 +377,8 @@ def _setup_of_program(program: Program) -> AnyProgramSetup:
             return ExciteSetup(steps=steps)
         case CommissionProgram():
             return CommissionSetup()
-        case ExerciseProgram(amplitudes):
-            return ExerciseSetup(amplitudes=amplitudes)
+        case ExerciseProgram(amplitudes, turns):
+            return ExerciseSetup(amplitudes=amplitudes, turns=turns)
         case LiveProgram():
             return LiveSetup()
     raise TypeError(f"{type(program).__name__} cannot be written into a log")
@@ -398,6 +399,6 @@ def _program_of_setup(setup: AnyProgramSetup, hand: Hand) -> Program:
         case CommissionSetup():
             return CommissionProgram()
         case ExerciseSetup():
-            return ExerciseProgram(setup.amplitudes)
+            return ExerciseProgram(setup.amplitudes, setup.turns)
         case LiveSetup():
             return LiveProgram()

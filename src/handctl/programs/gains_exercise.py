@@ -8,10 +8,15 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from handctl.core.control_law.digit_goal import DigitGoal
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import TickEvent
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.programs.clear_range import highest_clear_angle
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import (
     ProgramProgress,
@@ -30,6 +35,17 @@ For a digit that rests on its stop, the position error would be too small for th
 """
 FULL_MOVE_RAD = math.radians(30.0)
 """Angle of a move at full amplitude [rad]."""
+MOVE_DURATIONS_S = (0.6, 0.25)
+"""Durations of the moves in a turn [s]. Each duration has a closing move and an opening move."""
+AMPLITUDE_STEP = 0.05
+"""Step to which the largest amplitude of a hand is rounded down."""
+SIDEWAYS_FRACTION = 0.3
+"""Angle by which a joint moves its digit sideways in a move, as a fraction of the angle of the other joints.
+
+Neighbouring fingers are close together.
+"""
+MIN_COMMON_AMPLITUDE = 0.5
+"""Largest amplitude of a hand below which its digits move in turns, so that they can move farther."""
 GENTLE_CLOSE_TENSION_N = 7.0
 """Net tension with which digits without springs close [N].
 
@@ -51,11 +67,11 @@ GENTLE_RISE_DURATION_S = 1.3
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """Stage of the exercise. In each stage of the exercise, all digits do the same.
+    """Stage of the exercise. In each stage of the exercise, all moved digits do the same.
 
     Attributes:
-        name: name of the phase in the log: `settle`, `move`, `close` or `hold`. Only the errors in
-            `move` and `hold` are evaluated.
+        name: name of the phase in the log: `settle`, `turn`, `move`, `close` or `hold`. Only the
+            errors in `move` and `hold` are evaluated. A round of the exercise begins with `settle`.
         duration: duration of the stage, including the time of rest [s].
         angle: target angle of a move [rad], or NaN if the stage sets a tension. For a prismatic
             joint, 1 rad stands for 10 mm.
@@ -63,6 +79,8 @@ class ExerciseStage:
         rest: time of rest at the end of a move [s].
         tension_rate: largest rate of the tension goals [N/s]. The gains can contain a smaller
             limit.
+        digits: names of the moved digits. All other digits stay open. If the tuple is empty, all
+            digits move.
     """
 
     name: str
@@ -71,6 +89,7 @@ class ExerciseStage:
     tension: float = 0.0
     rest: float = REST_DURATION_S
     tension_rate: float = math.inf
+    digits: tuple[str, ...] = ()
 
 
 def move_amplitude(angle: float) -> float:
@@ -87,27 +106,34 @@ def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
 
 
 def exercise_stages(
-    amplitude: float = 1.0, shortest_duration_s: float = 0.25
+    amplitude: float = 1.0, turns: tuple[tuple[str, ...], ...] = ()
 ) -> tuple[ExerciseStage, ...]:
     """Return the stages of the exercise at a given amplitude.
 
     Args:
         amplitude: fraction of the full angles and tensions.
-        shortest_duration_s: duration of the fastest move [s].
+        turns: names of the digits that move together, see ``ExerciseProgram.turns``.
     """
     target = HOME_ANGLE_RAD + amplitude * FULL_MOVE_RAD
     hold = 30.0 + 25.0 * amplitude
     moves = [
-        ExerciseStage("move", duration + REST_DURATION_S, angle)
-        for duration in (0.6, shortest_duration_s)
-        for angle in (target, HOME_ANGLE_RAD)
+        stage
+        for i, digits in enumerate(turns or ((),))
+        for stage in (
+            ExerciseStage("turn" if i else "settle", 0.6, HOME_ANGLE_RAD, digits=digits),
+            *(
+                ExerciseStage("move", duration + REST_DURATION_S, angle, digits=digits)
+                for duration in MOVE_DURATIONS_S
+                for angle in (target, HOME_ANGLE_RAD)
+            ),
+        )
     ]
     hold_stages = [
         ExerciseStage("close", 0.8, tension=30.0),
         ExerciseStage("hold", 0.5, tension=hold),
         ExerciseStage("hold", 0.5, tension=30.0),
     ]
-    return (ExerciseStage("settle", 0.6, HOME_ANGLE_RAD), *moves, *hold_stages)
+    return (*moves, *hold_stages)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,14 +144,31 @@ class ExerciseProgram:
 
     Attributes:
         amplitudes: fractions of the full angles and tensions, in the order of execution.
+        turns: names of the digits that move together, for each turn. In a turn, all other digits
+            stay open. If the tuple is empty, all digits move together.
     """
 
     amplitudes: tuple[float, ...] = (1.0,)
+    turns: tuple[tuple[str, ...], ...] = ()
+
+    @staticmethod
+    def for_hand(hand: Hand) -> "ExerciseProgram":
+        """Return the exercise with the largest amplitude at which the digits of a hand do not touch each other.
+
+        The two fingers of a gripper touch each other at a small angle if both close. The digits of
+        such a hand move in turns.
+        """
+        amplitude, turns = largest_exercise(hand)
+        return ExerciseProgram((amplitude,), turns)
 
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
         """Return the stages of all amplitudes, in the order of execution."""
-        return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
+        return tuple(
+            stage
+            for amplitude in self.amplitudes
+            for stage in exercise_stages(amplitude, self.turns)
+        )
 
     def stages_for_hand(self, model: HandModel) -> tuple[ExerciseStage, ...]:
         """Return all stages for a hand. A digit without springs closes gently before its tension rises."""
@@ -192,6 +235,53 @@ class ExerciseProgram:
         ), (event,)
 
 
+def largest_exercise(hand: Hand) -> tuple[float, tuple[tuple[str, ...], ...]]:
+    """Return the largest amplitude at which the digits of a hand stay clear of each other, and the turns.
+
+    If no amplitude is small enough, the result is the full amplitude: then the digits touch each
+    other, and the tracking errors of these digits are not evaluated.
+    """
+    digit_names = tuple(name for name in hand.digit_names if name not in hand.carrier_digits)
+    common_amplitude = _clear_amplitude(hand, digit_names)
+    if common_amplitude >= MIN_COMMON_AMPLITUDE:
+        return common_amplitude, ()
+    amplitude = min(_clear_amplitude(hand, (name,)) for name in digit_names)
+    if amplitude <= common_amplitude:
+        return common_amplitude or 1.0, ()
+    turns: list[tuple[str, ...]] = []
+    for name in digit_names:
+        for i, turn in enumerate(turns):
+            if _clear_amplitude(hand, (*turn, name)) >= amplitude:
+                turns[i] = (*turn, name)
+                break
+        else:
+            turns.append((name,))
+    return amplitude, tuple(turns)
+
+
+def _clear_amplitude(hand: Hand, digit_names: tuple[str, ...]) -> float:
+    """Return the largest amplitude at which the named digits, moving together, touch no digit.
+
+    The amplitude is a multiple of ``AMPLITUDE_STEP``. It is 0 if the digits touch at all amplitudes.
+    """
+    scales = {name: _coordinate_scales(DigitModel.from_hand(hand, name)) for name in digit_names}
+    clear_angle = highest_clear_angle(hand, scales, HOME_ANGLE_RAD, HOME_ANGLE_RAD + FULL_MOVE_RAD)
+    # The small addition prevents that a multiple of the step is rounded down because of rounding
+    # errors.
+    steps = math.floor(move_amplitude(clear_angle) / AMPLITUDE_STEP + 1e-9)
+    return round(steps * AMPLITUDE_STEP, 2)
+
+
+def _coordinate_scales(digit: DigitModel) -> Vector:
+    """Return the ratio (n_c,) between the target of each coordinate and the angle of a move.
+
+    For a prismatic joint, 1 rad stands for 10 mm.
+    """
+    return np.asarray(
+        digit.coordinate_units.scale * np.where(digit.sideways_coordinates, SIDEWAYS_FRACTION, 1.0)
+    )
+
+
 # The stages are cached, because every tick needs them, and a search for gains has thousands of
 # ticks per trial.
 @functools.lru_cache(maxsize=8)
@@ -215,12 +305,28 @@ def _digit_goal(
     model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     """Return the goal of digit d in a stage of the exercise."""
+    if stage.digits and model.hand.digit_names[d] not in stage.digits:
+        return _goal_of_open_digit(model, d, stage, estimate, t)
     if not math.isnan(stage.angle):
         digit = model.digits[d]
-        goal_coordinate = stage.angle * digit.coordinate_units.scale
+        goal_coordinate = stage.angle * _coordinate_scales(digit)
         return goal_to_move_to_angle(
             digit, estimate, goal_coordinate, stage.duration - stage.rest, t
         )
     tension = pull_tensions(model, d, stage.tension, estimate)
     rate = min(stage.tension_rate, model.gains.tension.rate_N_per_s)
     return tension_goal(model, d, tension, rate, estimate)
+
+
+def _goal_of_open_digit(
+    model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
+) -> DigitGoal:
+    """Return the goal with which digit d opens and stays open while other digits move.
+
+    Springs open the digit against the tension floor. A digit without springs is moved to the angle 0.
+    """
+    digit = model.digits[d]
+    if any(digit.spring_stiffness):
+        floor = model.floor[model.digit_tendons[d]]
+        return tension_goal(model, d, floor, model.gains.tension.rate_N_per_s, estimate)
+    return goal_to_move_to_angle(digit, estimate, 0.0, stage.duration - stage.rest, t)

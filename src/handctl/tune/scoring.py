@@ -171,7 +171,8 @@ def score_exercise(
         plant_factors: factors by which the parameters of the plant differ from the description.
         seed: seed of the simulated noise.
     """
-    return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), plant_factors, seed))
+    program = ExerciseProgram.for_hand(hand)
+    return score_run(hand, *simulate_program(hand, model, program, plant_factors, seed))
 
 
 TickRecords = list[tuple[TickIn, TickOut]]

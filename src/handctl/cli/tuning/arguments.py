@@ -224,8 +224,8 @@ def _add_verify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     text = "with --lockstep: number of runs with different seeds; their spread gives the intervals (default: 3)"
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)
-    text = "largest amplitude of the rounds; smaller if digits of the hand meet (default: 1)"
-    parser.add_argument("--amplitude", type=float, default=1.0, metavar="X", help=text)
+    text = "largest amplitude of the rounds, up to 1 (default: the largest at which no digits meet)"
+    parser.add_argument("--amplitude", type=float, metavar="X", help=text)
     text = "accept the gains even if a column is worse than with the old gains"
     parser.add_argument("--accept-worse", action="store_true", help=text)
     parser.add_argument(

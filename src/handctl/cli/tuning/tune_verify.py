@@ -39,12 +39,11 @@ def run(args: argparse.Namespace) -> int:
 
     The exit code is 0 only if the new gains pass the round with the full amplitude.
     """
-    from handctl.programs.gains_exercise import ExerciseProgram
+    from handctl.programs.gains_exercise import ExerciseProgram, largest_exercise
     from handctl.tune.gains_verification import VerifyObserver, round_amplitudes
 
-    if not 0.0 < args.amplitude <= 1.0:
+    if args.amplitude is not None and not 0.0 < args.amplitude <= 1.0:
         raise ConfigError(f"{args.amplitude:g}", "--amplitude", "more than 0, at most 1")
-    amplitudes = round_amplitudes(args.amplitude)
     if bool(args.bus) == args.lockstep:
         raise ConfigError(
             "none or both given",
@@ -63,6 +62,9 @@ def run(args: argparse.Namespace) -> int:
         print_note(
             "the filter's gains cannot change in a run: both halves use the new filter gains"
         )
+    largest_amplitude, turns = largest_exercise(plan.hand)
+    amplitudes = round_amplitudes(args.amplitude or largest_amplitude)
+    program = ExerciseProgram(amplitudes, turns)
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
@@ -78,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         observer = VerifyObserver(
             plan.hand, gains_with_new_filter, candidate_file.gains, amplitudes=amplitudes
         )
-        outcome, truth = _run_test_round(args, plan, ExerciseProgram(amplitudes), observer, run_log)
+        outcome, truth = _run_test_round(args, plan, program, observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break

@@ -11,8 +11,8 @@ import numpy as np
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.programs.clear_range import highest_clear_coordinates
 from handctl.programs.excitation import TARE_DURATION_S, TARE_STEP_NAME, ExciteStep
-from handctl.tune.identify.clear_range import highest_clear_coordinates
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0

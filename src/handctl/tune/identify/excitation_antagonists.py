@@ -17,8 +17,8 @@ from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.link_tree import LinkTree
+from handctl.programs.clear_range import highest_clear_coordinates
 from handctl.programs.excitation import TARE_DURATION_S, TARE_STEP_NAME, ExciteStep
-from handctl.tune.identify.clear_range import highest_clear_coordinates
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. At smaller joint angles, a thumb can touch the palm."""
