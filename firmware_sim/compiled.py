@@ -236,7 +236,7 @@ def _build_array_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the memory address and the length of each array. ``array_at`` needs the address and the length.
+    """Return the memory address and the length of each array, with which ``array_at`` accesses the array.
 
     The caller must keep the arrays alive.
     """

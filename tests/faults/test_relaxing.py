@@ -86,11 +86,16 @@ def tension_bound(
 ) -> np.ndarray:
     """Return an upper bound of each tension [N], as an array with the shape (tendons,).
 
-    The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
-    Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at
-    most F pulls the rotor against the stiffness k of the tendon. From a tension T, the tension
-    rises to at most F + sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the
-    force F also increases the speed of the rotor.
+    The bound of a tension follows from the motion of the rotors and the stretch of the tendons. The
+    tension rises to at most F + sqrt((F - T)^2 + k m v^2), with these values of a tendon and its
+    motor:
+
+    - F: largest force of the motor [N]
+    - T: initial tension [N]
+    - k: stiffness of the tendon [N/m]
+    - m: inertia of the rotor, converted to a mass at the tendon [kg]
+    - v: initial speed of the rotor [m/s], plus the speed that the rotor gains from F while the
+      finger of the tendon moves freely
     """
     space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)

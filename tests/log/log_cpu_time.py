@@ -40,7 +40,8 @@ def _write_log(
 def main() -> None:
     """Measure the CPU time per tick of four steps of recording.
 
-    The steps of recording are packing, writing, the pipe to the recorder in lockstep, and reading.
+    The four steps are: pack the ticks, write the log, send the ticks through the pipe to a recorder
+    in lockstep, and read the log.
     """
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)

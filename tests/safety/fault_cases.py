@@ -444,8 +444,8 @@ def monitor_at_rest() -> SyntheticMonitor:
 def reset_monitor_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateValues:
     """Reset a monitor to a hand at rest.
 
-    Return the state values of ``tick_input``. The caller must give these values to the next tick of
-    the monitor.
+    Return the state values of ``tick_input``. The caller must pass the returned state values to the
+    next call of ``monitor.tick``.
     """
     monitor.reset_to_rest()
     return dict(tick_input.state_values)

@@ -1,6 +1,6 @@
-"""Safety monitor of a generated hand.
+"""Safety monitor of a generated hand, for tests that set the state of the monitor directly.
 
-A test sets values of the state, and each call of the monitor is one tick of ``find_faults``.
+Each call of ``SyntheticMonitor.tick`` runs the fault detectors (``find_faults``) for one tick.
 """
 
 from collections.abc import Iterable
@@ -278,9 +278,9 @@ class SyntheticMonitor:
 
 
 def _uncompiled_helper(kernel_helper: Any) -> Any:
-    """Return an uncompiled copy of a function that only compiled kernels call.
+    """Return an uncompiled copy of a kernel helper, which is a function that only compiled kernels call.
 
-    The uncompiled copy calls uncompiled copies of the other functions that only kernels call.
+    If the kernel helper calls other kernel helpers, the copy calls uncompiled copies of them.
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper

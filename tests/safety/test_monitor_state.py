@@ -529,9 +529,9 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    If the reply of the drive is in time, the reading with the motion of five ticks arrives in the
-    first tick after the gap. If the reply is one tick late, the reading arrives in the second tick
-    after the gap.
+    If the drive replies in time, the first tick after the gap gets this reading. If the drive
+    replies one tick late, only the second tick after the gap gets the reading with the motion of
+    five ticks.
     """
 
     def noise_and_balance_after_gap(missed_ticks):
@@ -596,10 +596,10 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 
 
 def state_with_reply_ages(**age_by_node: int) -> dict[str, Any]:
-    """Return values of the state that contain the ages of replies [ticks].
+    """Return the state fields with the arrival times of the last frames [ns], for given ages of the frames [ticks].
 
-    The keyword ``ma`` is the age of the last frame from the motor of tendon a. The keyword ``a`` is
-    the age of the last frame from the load cell of tendon a.
+    The keyword ``ma`` is the age of the last frame from the motor of tendon a [ticks]. The keyword
+    ``a`` is the age of the last frame from the load cell of tendon a [ticks].
     """
     last_frame_ns_by_node = {
         name: NOW_NS - age_by_node.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")

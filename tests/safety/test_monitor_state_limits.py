@@ -181,9 +181,7 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
-    """The motor force rises by 4 N, and after that falls to 4 N below its first value.
-
-    At the end of the test, the motor force has its first value again.
+    """The motor force rises by 4 N, falls to 4 N below its first value, and returns to its first value.
 
     Reproduce a defect: the detector used only the difference between the present motor force and
     its start value. The stuck load cell of an extensor in the hand ``n_plus_1`` was therefore

@@ -98,7 +98,7 @@ def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioR
 def reaction_time_ratio(result: ScenarioResult) -> float:
     """Return the reaction time in a scenario, divided by the largest allowed reaction time.
 
-    If there was no reaction, the result is 9.9.
+    If the controller did not react in the scenario, the returned ratio is 9.9.
     """
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 

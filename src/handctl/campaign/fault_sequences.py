@@ -280,7 +280,7 @@ def violations_in_tick(
 def _tension_bound(
     simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]
 ) -> float:
-    """Return the largest tension that is allowed in a sequence [N].
+    """Return the largest tension that the safety rules allow in a fault sequence [N].
 
     For a runaway drive, the function assumes that the tendon is slack at the start, and that the
     drive pulls until its watchdog has fired.

@@ -216,11 +216,15 @@ def runaway_tension(
 ) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
-    A runaway drive pulls with its largest force F, and accelerates its rotor. The rotor acts like a
-    mass m at the tendon. The tendon has the stiffness k, and resists. If the tension is T at the
-    start of the fault, the tension rises up to F + sqrt((F - T)^2 + k m v^2). The speed v is the
-    initial speed of the rotor plus the speed that the rotor gains from F while the finger moves
-    freely.
+    A runaway drive pulls the tendon, and accelerates its rotor. The tension of the tendon rises up
+    to F + sqrt((F - T)^2 + k m v^2), with these values of the tendon and its drive:
+
+    - F: largest force of the drive [N]
+    - T: tension at the start of the fault [N]
+    - k: stiffness of the tendon [N/m]
+    - m: inertia of the rotor, converted to a mass at the tendon [kg]
+    - v: initial speed of the rotor, plus the speed that the rotor gains from F while the finger
+      moves freely [m/s]
 
     Args:
         model: model of the hand.
@@ -284,8 +288,9 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        The instant is -1 before the first effect. While the motor force has not varied enough, the
-        instant is the present tick.
+        Before the first effect of the fault, the method returns -1. After the first effect, the
+        method returns the time of the present tick until the motor force has varied enough for a
+        detection.
 
         Args:
             simulation: simulation after the present tick.

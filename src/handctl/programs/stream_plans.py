@@ -262,8 +262,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
-    damping ratio stays the same. The motion loop is stable with the values in the gains. Stiffness
-    and damping never exceed the values in the gains.
+    damping ratio stays the same. The motion loop is stable with the stiffness and the damping in
+    the gains. The returned fractions are therefore at most 1.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -386,7 +386,7 @@ def stop_moving_digits(
 SHORTEST_BLEND_S = 0.05
 """Shortest time in which the speed of an earlier motion decreases to zero [s]."""
 _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
-"""Instants at which the positions of a move are checked, as fractions of its duration."""
+"""Instants at which the positions of a move are checked, as fractions of the move's fade-out time."""
 
 
 def blended_move(
@@ -396,9 +396,10 @@ def blended_move(
 
     The move begins with the position, rate and acceleration of the reference. The initial rate and
     acceleration fade out during the first part of the move. If a fast motion faded out slowly, the
-    joints would go far beyond the start and the end of the move. The function therefore starts with
-    a fade-out time that equals the duration of the move. The function then halves the fade-out time
-    until the joints stay within their range.
+    joints would go far beyond the start and the end of the move. The function first tries a
+    fade-out time that equals the duration of the move. The function halves the fade-out time of the
+    initial motion until the joints stay within ``coordinate_bounds``. The shortest fade-out time is
+    ``SHORTEST_BLEND_S``.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

@@ -537,7 +537,8 @@ class MoteusDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state, and the stop command that clears the latched error.
 
-        After the clear command, the host reads back the settings again.
+        After a stop command that clears an error, the host reads back the settings of the drive
+        again.
         """
         fresh_state = state._replace(
             phase=SILENT,

@@ -342,7 +342,10 @@ class OdriveDrive:
         )
 
     def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the drive state after the message Address, with the node number and a serial number of 48 bits."""
+        """Return the drive state after the message Address.
+
+        The message contains the node number and the serial number (48 bits) of the drive.
+        """
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
