@@ -215,7 +215,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     row_without_reaction = FaultMatrixRow(
         "B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",)
     )
-    slow_row = FaultMatrixRow(
+    row_detected_too_late = FaultMatrixRow(
         "T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, accepted_faults=("T04",)
     )
     results = []
@@ -223,7 +223,8 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.run_tick()
         scenarios = [
-            FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow_row)
+            FaultScenario(row, row.fault, GRASP_STAGE)
+            for row in (row_without_reaction, row_detected_too_late)
         ]
         run_in_forked_processes(
             simulation,
@@ -494,8 +495,10 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
-        slow = [fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
-        assert slow == 3 * [row.max_ticks]
+        limits_up_to_500_hz = [
+            fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)
+        ]
+        assert limits_up_to_500_hz == 3 * [row.max_ticks]
         fast_ticks = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
         assert fixed_row.reaction_limit_ticks("mit", 1.0) == fast_ticks
     assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}

@@ -195,10 +195,10 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
-        free_ticks = 0
+        free_phase_ticks = 0
         out = simulation.run_tick()
         while not hidden_faults.is_at_stage(
-            "free", out, free_ticks := free_ticks + (out.phase == "free")
+            "free", out, free_phase_ticks := free_phase_ticks + (out.phase == "free")
         ):
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)

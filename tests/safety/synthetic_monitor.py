@@ -284,14 +284,19 @@ def _uncompiled_helper(kernel_helper: Any) -> Any:
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper
-    code = kernel_helper.py_func
-    global_names = dict(code.__globals__)
+    python_function = kernel_helper.py_func
+    global_names = dict(python_function.__globals__)
     global_names |= {
         name: _uncompiled_helper(global_names[name])
-        for name in code.__code__.co_names
+        for name in python_function.__code__.co_names
         if hasattr(global_names.get(name), "py_func")
     }
-    return FunctionType(code.__code__, global_names, code.__name__, code.__defaults__)
+    return FunctionType(
+        python_function.__code__,
+        global_names,
+        python_function.__name__,
+        python_function.__defaults__,
+    )
 
 
 def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:

@@ -189,12 +189,12 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_state_values({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
-    reported = []
+    is_reported_at_force = []
     for force in (20.0, 24.0, 16.0, 20.0):
         for _ in range(STUCK_CELL_READINGS):
             findings = monitor.tick(measurements_at_rest(force=force, tension=20.0))
-        reported.append("T05" in findings)
-    assert reported == [False, False, True, True]
+        is_reported_at_force.append("T05" in findings)
+    assert is_reported_at_force == [False, False, True, True]
     assert findings["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 

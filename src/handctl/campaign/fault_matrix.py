@@ -398,7 +398,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
     for row in FAULT_MATRIX:
         if protocol in row.protocols:
             fault_texts = fault_texts_for_hand(hand, row.fault, period_ms)
-            end_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
+            first_and_last_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
             scenarios += [
                 FaultScenario(
                     row,
@@ -407,7 +407,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
                     missing_sensor_ticks=row.missing_sensor_ticks(hand, text, period_ms),
                 )
                 for stage in row.stages
-                for text in end_texts
+                for text in first_and_last_texts
                 if not (
                     row.needs_prompt_torque
                     and PROTOCOL_TRAITS[protocol].has_separate_torque_frame

@@ -208,7 +208,9 @@ More than one Newton step can be necessary, because the slope does not include g
 """
 
 
-def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
+def nearest_holdable_posture(
+    digit: DigitModel, coordinates: Vector, tension_floor: Vector
+) -> Vector:
     """Return the nearest coordinates [rad] at which taut tendons can balance springs and gravity.
 
     A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
@@ -218,7 +220,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
     Args:
         digit: model of the digit.
         coordinates: (n_c,) coordinates of the target [rad].
-        floor: (n_t,) smallest allowed tensions [N].
+        tension_floor: (n_t,) smallest allowed tensions [N].
     """
     if not _is_held_by_each_tendon(digit):
         return coordinates
@@ -227,7 +229,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        tension_deficit = floor + TENSION_FLOOR_MARGIN_N - tension
+        tension_deficit = tension_floor + TENSION_FLOOR_MARGIN_N - tension
         is_tension_too_low = tension_deficit > 1e-6
         if not is_tension_too_low.any():
             break

@@ -120,9 +120,9 @@ class OdriveDrive:
         """
         options = dict(motor.options)
         location = f"motor[{motor.name}].options"
-        if not 0 < motor.node_id <= codec.LAST_NODE:
+        if not 0 < motor.node_id <= codec.LAST_NODE_ID:
             raise ConfigError(
-                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE_ID}"
             )
         motor_options = pop_options(options, location)
         settings = endpoints.pop_settings(
