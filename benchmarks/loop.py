@@ -146,9 +146,11 @@ def measure_in_this_process(
     elif loop_name == "bare_spin":
         outcome = measure_bare_spin(float(duration_text), float(rate_text))
     else:
-        run = __import__(LOOP_MODULE_BY_NAME[loop_name], fromlist=["run_loop"]).run_loop
+        run_loop = __import__(LOOP_MODULE_BY_NAME[loop_name], fromlist=["run_loop"]).run_loop
         try:
-            outcome = run(hand_name, bus_name, float(duration_text), float(rate_text) or None, log)
+            outcome = run_loop(
+                hand_name, bus_name, float(duration_text), float(rate_text) or None, log
+            )
         except (
             RuntimeError
         ):  # The control rate was so high that the controller could not even set up the drives.

@@ -94,7 +94,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     with RunLog(log_path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
         result = {"ticks": stats_with_log.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
-    numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
+    summary_counts = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     lateness_figures = {
         "without_us": _lateness_figures(stats_before, stats_after),
         "with_us": _lateness_figures(stats_with_log),
@@ -103,7 +103,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
         "seconds": duration_s,
         "real_time": uses_separate_cores,
         **result,
-        **numbers,
+        **summary_counts,
         "recorder_core_share": fraction,
         **lateness_figures,
     }

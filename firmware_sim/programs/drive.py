@@ -98,10 +98,10 @@ class SimulatedDriveBench:
         specs = motor_specs_with_fault(specs, fault)
         self.step_progress_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
-        pairs = zip(specs, self.motors, strict=True)
+        specs_and_motors = zip(specs, self.motors, strict=True)
         self.nodes: list[SimulatedNode] = [
             with_fault(PROTOCOL_SPECS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault)
-            for spec, motor in pairs
+            for spec, motor in specs_and_motors
         ]
         self._unsolicited: list[Frame] = []
         self.faults = ActiveFaults(BenchWorld(self, specs))

@@ -104,8 +104,8 @@ def test_fault_free_run_alone_continues_its_seeds():
     """
     seeds = []
 
-    def record_run(hand, rate, seconds, seed):
-        seeds.append((round(rate), seconds, seed))
+    def record_run(hand, rate_hz, seconds, seed):
+        seeds.append((round(rate_hz), seconds, seed))
         return []
 
     with pytest.MonkeyPatch.context() as patch:
@@ -351,7 +351,7 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """Within 20 ms, the fault T04b (a load cell is wrong) detects only tensions that are too high.
+    """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
     If a drive switches off, the tension becomes too low. For this low tension, the controller
     therefore reports the error of the drive, and not the fault T04b.
@@ -580,12 +580,12 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        space = simulation.controller.model.tendon_constants
-        at = simulation.simulated_hand.truth()["tension"][0]
+        tendon_constants = simulation.controller.model.tendon_constants
+        start_tension = simulation.simulated_hand.truth()["tension"][0]
         v = (
             abs(
                 float(simulation.last_output.telemetry.motor_velocity[0])
-                * float(space.spool_radius[0])
+                * float(tendon_constants.spool_radius[0])
             )
             + 0.01
         )
@@ -593,11 +593,11 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
         scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
         result = run_scenario(simulation, scenario, "mit")
     limit = hand.tendon[0].drive_limit_N
-    k = float(space.stiffness[0])
-    m = float(space.motor_mass[0])
-    bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
+    k = float(tendon_constants.stiffness[0])
+    m = float(tendon_constants.motor_mass[0])
+    bound = limit + math.sqrt((limit - start_tension) ** 2 + k * m * v**2)
     assert result.ok, result.problem
-    assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
+    assert start_tension < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
 
 
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():

@@ -97,14 +97,14 @@ def tension_bound(
     - v: initial speed of the rotor [m/s], plus the speed that the rotor gains from F while the
       finger of the tendon moves freely
     """
-    space = simulation.controller.model.tendon_constants
+    tendon_constants = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
-    max_speed = np.abs(initial_state.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
-        initial_state.tension < 10.0
-    )
+    max_speed = np.abs(
+        initial_state.speed
+    ) + largest / tendon_constants.motor_mass * COMMAND_DELAY_S * (initial_state.tension < 10.0)
     stretch = (
         largest - initial_state.tension
-    ) ** 2 + space.stiffness * space.motor_mass * max_speed**2
+    ) ** 2 + tendon_constants.stiffness * tendon_constants.motor_mass * max_speed**2
     return np.maximum(largest + np.sqrt(stretch), initial_state.tension) + TENSION_BOUND_MARGIN_N
 
 

@@ -429,5 +429,5 @@ class HostFault:
             return {"skipped_ticks": int(self.words[0])}
         if self.kind == "late":
             return {"late_ns": round(float(self.words[0]) * simulation.period_ns)}
-        times = int(self.words[1]) if len(self.words) > 1 else 1
-        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * times}
+        request_count = int(self.words[1]) if len(self.words) > 1 else 1
+        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * request_count}
