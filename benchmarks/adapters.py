@@ -24,12 +24,12 @@ from handctl.cli.runs import demo
 class AdapterRunOutcome(NamedTuple):
     """Outcome of one run of the demo at one control rate.
 
-    ``is_rate_held`` is True if the control rate is possible. The other fields are the tracking
-    error [deg], the tension error while the hand holds the object [N], and the reason why the run
-    ended.
+    ``is_demo_passed`` is True if the demo ran to its end without a failure. The other fields are the
+    tracking error [deg], the tension error while the hand holds the object [N], and the reason why
+    the run ended.
     """
 
-    is_rate_held: bool
+    is_demo_passed: bool
     tracking_error_deg: float
     hold_error_n: float
     end_cause: str
@@ -98,7 +98,7 @@ def _print_outcomes() -> None:
         for rate in args.rates:
             for seed in range(args.seeds):
                 result = run_demo_with_adapter(args.hand, adapter, rate, seed)
-                outcome_text = "held" if result.is_rate_held else "NOT HELD"
+                outcome_text = "held" if result.is_demo_passed else "NOT HELD"
                 print(
                     f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {outcome_text},"
                     f" tracking {result.tracking_error_deg:.2f} deg,"

@@ -6,11 +6,11 @@ other client and each C program are the alternatives of the comparison.
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark runs with four and with eleven motors
 in MIT mode, on handctl's local bus (a Unix socket) and on vcan. If the kernel of the machine does
 not support vcan, the benchmark uses vcan in user-mode Linux. The simulated motors run in the
-process of the benchmark. The reported times do not include the time of the simulated motors. An
-exchange converts torques to payloads, sends the frames, receives the reply frames of the motors,
-and converts their payloads to values. In addition, handctl updates the state of each drive, because
-the controller does so in every tick. Absolute times of different runs are not comparable. Compare
-only ratios of times from the same run.
+process of the benchmark. The reported times do not include the computing time of the simulated
+motors. An exchange converts torques to payloads, sends the frames, receives the reply frames of the
+motors, and converts their payloads to values. In addition, handctl updates the state of each drive,
+because the controller does so in every tick. Absolute times of different runs are not comparable.
+Compare only ratios of times from the same run.
 
 A C program makes the same system calls as handctl and encodes the same frames. The time of the C
 program is the lower bound for all alternatives. On the local bus, handctl and the C program send

@@ -199,8 +199,8 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
     """Return the standard deviation of the reference filter for each tendon, at two times (tendons, 2) [N].
 
-    The first column belongs to the tension at the time of the last load-cell reading. The second
-    column belongs to the present tension.
+    The first column is the standard deviation of the tension at the time of the last load-cell
+    reading. The second column is the standard deviation of the present tension.
     """
     name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])

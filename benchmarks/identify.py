@@ -182,9 +182,14 @@ def measure_digit(
     """
     hand = load_hand(hand_name)
     has_springs = hand.digit_named(digit_name).has_springs
-    factors = draw_plant(seed, has_springs)
+    plant_factors = draw_plant(seed, has_springs)
     result, row = excite_and_fit(
-        hand_name, digit_name, seed, factors, gains_of_digit(hand, digit_name, seed), log_folder
+        hand_name,
+        digit_name,
+        seed,
+        plant_factors,
+        gains_of_digit(hand, digit_name, seed),
+        log_folder,
     )
     if not result:
         return row
@@ -205,7 +210,7 @@ def measure_digit(
     row["parameters"] = [
         compare_parameter(name, tendon, true_value, shared_parameters.get(name, tendon_fit))
         for tendon, tendon_fit in result.items()
-        for name, true_value in true_parameters(hand, tendon, factors).items()
+        for name, true_value in true_parameters(hand, tendon, plant_factors).items()
         if name not in DIGIT_KEY_BY_PARAMETER
         or tendon_fit is shared_parameters.get(name, tendon_fit)
     ]

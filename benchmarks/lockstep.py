@@ -73,7 +73,7 @@ def measure_lockstep_speed(
     """Measure the CPU times of controller and simulator for one hand in one scene."""
     run_setup = SETUP_BY_SCENE[scene_name]
     rollout = record_rollout(LockstepStack(hand_name, rate_hz, run_setup), simulated_s)
-    engine_only_s = sum_of_shortest(
+    mujoco_only_s = sum_of_shortest(
         repeat_rollout(LockstepStack(hand_name, rate_hz, run_setup), rollout)
         for _ in range(RUNS_PER_CASE)
     )
@@ -89,12 +89,12 @@ def measure_lockstep_speed(
         "rate_hz": rate_hz,
         "simulated_s": simulated_s,
         "contacts": rollout.contacts,
-        "bare_times_real_time": simulated_s / engine_only_s,
+        "bare_times_real_time": simulated_s / mujoco_only_s,
         "whole_times_real_time": simulated_s / total_s,
-        "share_of_bare": engine_only_s / total_s,
-        "bare_us_a_tick": engine_only_s / ticks * 1e6,
-        "rest_us_a_tick": (total_s - engine_only_s) / ticks * 1e6,
-        "simulator_us_a_tick": (simulator_s - engine_only_s) / ticks * 1e6,
+        "share_of_bare": mujoco_only_s / total_s,
+        "bare_us_a_tick": mujoco_only_s / ticks * 1e6,
+        "rest_us_a_tick": (total_s - mujoco_only_s) / ticks * 1e6,
+        "simulator_us_a_tick": (simulator_s - mujoco_only_s) / ticks * 1e6,
         "spent": cpu_time_fractions(
             lambda: LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s)
         ),

@@ -22,7 +22,7 @@ LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
 RATE_REDUCTION_FACTOR = 0.85
 """The search for the highest control rate multiplies a control rate that was too high by ``RATE_REDUCTION_FACTOR``."""
-LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
+LOOP_MODULE_BY_NAME = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
 """For each key in the results, the module that contains the control loop."""
 
 
@@ -146,9 +146,11 @@ def measure_in_this_process(
     elif loop_name == "bare_spin":
         outcome = measure_bare_spin(float(duration_text), float(rate_text))
     else:
-        run = __import__(LOOP_MODULES[loop_name], fromlist=["run_loop"]).run_loop
+        run_loop = __import__(LOOP_MODULE_BY_NAME[loop_name], fromlist=["run_loop"]).run_loop
         try:
-            outcome = run(hand_name, bus_name, float(duration_text), float(rate_text) or None, log)
+            outcome = run_loop(
+                hand_name, bus_name, float(duration_text), float(rate_text) or None, log
+            )
         except (
             RuntimeError
         ):  # The control rate was so high that the controller could not even set up the drives.

@@ -175,10 +175,12 @@ def main() -> None:
             results.append(run_demo(*case))
             with args.results.open("a") as file:
                 file.write(json.dumps(results[-1]) + "\n")
-    order = {(hand, protocol): i for i, (hand, protocol, _) in enumerate(cases)}
+    index_by_hand_and_protocol = {
+        (hand, protocol): i for i, (hand, protocol, _) in enumerate(cases)
+    }
     results.sort(
         key=lambda seed_result: (
-            order.get((seed_result["hand"], seed_result["protocol"]), -1),
+            index_by_hand_and_protocol.get((seed_result["hand"], seed_result["protocol"]), -1),
             seed_result["seed"],
         )
     )

@@ -97,8 +97,8 @@ def time_until_exit(command: list[str]) -> StartTime:
 
 def children_cpu_s() -> float:
     """Return the total CPU time of all child processes that have ended [s]."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
+    resource_usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return resource_usage.ru_utime + resource_usage.ru_stime
 
 
 def process_cpu_s(pid: int) -> float:

@@ -467,10 +467,11 @@ def _run_one_client(
 def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
-    The function computes the start time of the run from an observation. The computed time is too
-    late by the duration of the tick, because an observation is published at the end of the tick.
-    Therefore, the function computes the start time from many observations, and returns the earliest
-    result. The earliest result is too late by the duration of the shortest tick, about 0.1 ms.
+    The function computes the start time of the run from an observation. The computed start time is
+    too late by the computing time of the tick, because an observation is published at the end of
+    the tick. Therefore, the function computes the start time from many observations, and returns
+    the earliest result. The earliest start time is still too late by the computing time of the
+    fastest tick, about 0.1 ms.
     """
     assert hand is not None
     starts_ns = list[int]()

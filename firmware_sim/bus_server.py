@@ -161,7 +161,8 @@ class BusServer:
     def turn(self) -> None:
         """Wait until frames arrive or the next millisecond begins.
 
-        After the wait, advance the plant, and answer the frames.
+        After the wait, the method advances the plant, and sends the answers of the nodes to the
+        received frames.
         """
         ready_sockets = self._wait_for_sockets()
         frames = self._receive_frames(ready_sockets)

@@ -14,10 +14,7 @@ class CommandParser(argparse.ArgumentParser):
     """A parser for command lines. Each error message of the parser has a single line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise a SimulatorError for a usage error.
-
-        The method ``error`` of the base class would end the program.
-        """
+        """Raise a SimulatorError for a usage error, because ``argparse.ArgumentParser.error`` would end the program."""
         raise SimulatorError(f"{message}; --help shows how")
 
 

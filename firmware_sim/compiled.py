@@ -175,22 +175,22 @@ def use_compiled_kernels(module: ModuleType) -> None:
             setattr(module, name, getattr(compiled_kernels, name))
 
 
-def _numba_type(name: ArgumentType) -> Any:
+def _numba_type(argument_type: ArgumentType) -> Any:
     """Convert the type of a kernel argument to a numba type."""
     from numba import from_dtype, types
 
-    if not isinstance(name, str):
-        return types.Array(from_dtype(np.dtype(name)), 1, "C")
+    if not isinstance(argument_type, str):
+        return types.Array(from_dtype(np.dtype(argument_type)), 1, "C")
     float_type = types.float64
     integer_type = types.int64
-    if name in ("vector", "counts"):
-        return types.Array(float_type if name == "vector" else integer_type, 1, "C")
+    if argument_type in ("vector", "counts"):
+        return types.Array(float_type if argument_type == "vector" else integer_type, 1, "C")
     return {
         "real": float_type,
         "count": integer_type,
         "flag": types.boolean,
         "address": types.intp,
-    }[name]
+    }[argument_type]
 
 
 def _build_c_call() -> Any:
@@ -212,7 +212,7 @@ def _build_c_call() -> Any:
         )
         return context.get_dummy_value()
 
-    def typed(typing: Any, function: Any, first_argument: Any, second_argument: Any) -> Any:
+    def typed(typing_context: Any, function: Any, first_argument: Any, second_argument: Any) -> Any:
         return types.void(types.intp, types.intp, types.intp), code
 
     return intrinsic(typed)
@@ -226,7 +226,7 @@ def _build_array_at() -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], context.get_value_type(types.voidptr))
 
-    pointer: Any = intrinsic(lambda typing, address: (types.voidptr(types.intp), code))
+    pointer: Any = intrinsic(lambda typing_context, address: (types.voidptr(types.intp), code))
 
     @njit
     def array_at(address: Any, count: Any, kind: Any) -> Any:
@@ -236,7 +236,7 @@ def _build_array_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the memory address and the length of each array. ``array_at`` needs the address and the length.
+    """Return the memory address and the length of each array, with which ``array_at`` accesses the array.
 
     The caller must keep the arrays alive.
     """

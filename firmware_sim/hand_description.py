@@ -476,8 +476,8 @@ def _section_with_template(
 ) -> dict[str, Any]:
     """Return an entry of a hand file, with all missing keys filled in.
 
-    The template of the entry gives the value of a missing key. If the template lacks the key, the
-    value comes from the defaults for entries of the given kind.
+    If a key is missing in the entry, its value comes from the template of the entry. If the key is
+    also missing in the template, its value comes from the defaults for entries of the given kind.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (

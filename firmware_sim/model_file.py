@@ -460,7 +460,9 @@ def _shape_corners(
     """Return the corners (n, 3) of the boxes around the shapes of a link, and the radius of the link [m].
 
     The radius is the largest half width of the shapes of one kind: the first kind in
-    ``ROUND_SHAPES`` that the link has. Without shapes, the corners are empty and the radius is None.
+    ``ROUND_SHAPES`` that the link has. If the link has none of these kinds, the radius is the
+    largest half width of all its shapes. If the link has no shapes, the list of corners is empty,
+    and the radius is None.
     """
     corners: list[Any] = []
     radii: dict[int, float] = {}
@@ -526,7 +528,7 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the motor of a tendon, the largest tension of the motor [N], and its directions.
+    """Return a tendon's motor, the motor's largest tension [N], and True if the motor pulls in both directions.
 
     The motor and the largest tension are None unless the tendon has exactly one actuator. The
     largest tension is None unless the actuator commands a force of limited range. The value

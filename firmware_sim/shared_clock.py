@@ -13,8 +13,8 @@ The clock is a file with six 64-bit integers. Both processes map the file into m
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
 The simulator writes the version and the last two integers. The controller writes the other
-integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses. These times are not
-multiplied by the time scale.
+integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses. The time scale of
+the simulation does not change the times in the file.
 """
 
 import mmap

@@ -39,9 +39,10 @@ class ClockReadings:
 
 
 class PaceMeter:
-    """Counter of the slips of the clock. At a slip, the plant skips the time by which the plant is late.
+    """Meter of the pace of a simulation, which is the simulated time of the plant per wall time.
 
-    The counter measures and reports the pace of the simulation, which is plant time per wall time.
+    The meter also counts and reports the slips of the clock. At a slip, the plant skips the time by
+    which the plant is late.
 
     Attributes:
         advice: highest pace advised for this machine, as the ratio of plant time to wall time. The

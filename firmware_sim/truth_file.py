@@ -38,7 +38,7 @@ A truth file of this size contains about 40 minutes of simulation.
 
 
 class TruthFile(NamedTuple):
-    """The content of a truth file.
+    """Content of a truth file, in which a simulator records the true state of its plant.
 
     Attributes:
         header: content of the header line.

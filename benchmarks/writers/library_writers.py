@@ -69,7 +69,7 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.EMPTY)
+    type_store = get_typestore(Stores.EMPTY)
     connections = {}
     bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.open()
@@ -77,14 +77,15 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     def write(log_message: LogMessage) -> None:
         if log_message.topic not in connections:
             types = get_types_from_msg(log_message.type_definition, log_message.type_name)
-            store.register(
-                {name: kind for name, kind in types.items() if name not in store.fielddefs}
+            type_store.register(
+                {name: kind for name, kind in types.items() if name not in type_store.fielddefs}
             )
             connections[log_message.topic] = bag.add_connection(
-                log_message.topic, log_message.type_name, typestore=store
+                log_message.topic, log_message.type_name, typestore=type_store
             )
-        data = store.serialize_cdr(
-            _typed_object(store, log_message.type_name, log_message.content), log_message.type_name
+        data = type_store.serialize_cdr(
+            _typed_object(type_store, log_message.type_name, log_message.content),
+            log_message.type_name,
         )
         bag.write(connections[log_message.topic], log_message.t_ns, bytes(data))
 
@@ -115,9 +116,11 @@ def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> A
                 _typed_object(type_store, inner_definition[0][1], element) for element in value
             ]
         else:
-            word = inner_definition[0][1][0]
+            element_type = inner_definition[0][1][0]
             fields[name] = (
-                list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
+                list(value)
+                if element_type == "string"
+                else np.array(value, element_type.replace("byte", "uint8"))
             )
     return type_store.types[type_name](**fields)
 

@@ -193,8 +193,8 @@ def decode_messages(path: Path) -> list[LogMessage]:
     factory = DecoderFactory()
     with path.open("rb") as file:
         for schema, channel, log_message in make_reader(file).iter_messages(log_time_order=False):
-            decode = factory.decoder_for(channel.message_encoding, schema)
-            content = _to_basic_types(decode(log_message.data))
+            decode_content = factory.decoder_for(channel.message_encoding, schema)
+            content = _to_basic_types(decode_content(log_message.data))
             messages.append(
                 LogMessage(
                     channel.topic, schema.name, schema.data.decode(), log_message.log_time, content

@@ -73,9 +73,9 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     )
     with _on_separate_cores(recorder._child.pid) as uses_separate_cores:
         stats_before = _run_loop(
-            duration_s / 2, uses_separate_cores, ticks, lambda entry, out: None, list
+            duration_s / 2, uses_separate_cores, ticks, lambda tick_input, out: None, list
         )
-        spent_processor_s = _processor_s(recorder._child.pid)
+        recorder_cpu_s_before = _recorder_cpu_s(recorder._child.pid)
         start = time.perf_counter()
         stats_with_log = _run_loop(
             duration_s,
@@ -84,17 +84,17 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
             _tick_recorder_of(recorder),
             lambda: list(recorder.take_events()),
         )
-        fraction = (_processor_s(recorder._child.pid) - spent_processor_s) / (
+        fraction = (_recorder_cpu_s(recorder._child.pid) - recorder_cpu_s_before) / (
             time.perf_counter() - start
         )
         stats_after = _run_loop(
-            duration_s / 2, uses_separate_cores, ticks, lambda entry, out: None, list
+            duration_s / 2, uses_separate_cores, ticks, lambda tick_input, out: None, list
         )
     summary = recorder.close("finished")
     with RunLog(log_path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
         result = {"ticks": stats_with_log.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
-    numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
+    summary_counts = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     lateness_figures = {
         "without_us": _lateness_figures(stats_before, stats_after),
         "with_us": _lateness_figures(stats_with_log),
@@ -103,7 +103,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
         "seconds": duration_s,
         "real_time": uses_separate_cores,
         **result,
-        **numbers,
+        **summary_counts,
         "recorder_core_share": fraction,
         **lateness_figures,
     }
@@ -198,11 +198,11 @@ def _run_loop(
     """Run the control loop with ticks that were computed before the run, and return the statistics of the loop."""
     last_tick = int(duration_s * RATE_HZ)
 
-    def begin(state: int, entry: TickIn) -> _PrecomputedTick:
+    def begin(state: int, tick_input: TickIn) -> _PrecomputedTick:
         tick_output = ticks[state % len(ticks)][1]
         return _PrecomputedTick(
             state + 1,
-            tick_output._replace(mode=HandMode.DONE) if entry.k >= last_tick else tick_output,
+            tick_output._replace(mode=HandMode.DONE) if tick_input.k >= last_tick else tick_output,
         )
 
     clock = RealClock(PERIOD_NS, busy_wait=busy_wait)
@@ -215,7 +215,7 @@ def _run_loop(
         tuple,
         take_events,
         record_tick,
-        lambda entry, out: None,
+        lambda tick_input, out: None,
     )
     loop.run(0)
     return loop.stats
@@ -224,14 +224,14 @@ def _run_loop(
 def _tick_recorder_of(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return a function that packs a tick and passes it to the recorder."""
 
-    def record(entry: TickIn, tick_output: TickOut) -> None:
-        recorder.send_record(pack_tick_record(entry, tick_output))
+    def record(tick_input: TickIn, tick_output: TickOut) -> None:
+        recorder.send_record(pack_tick_record(tick_input, tick_output))
 
     return record
 
 
-def _processor_s(pid: int) -> float:
-    """Return the processor time of the recorder and of its sync process [s]."""
+def _recorder_cpu_s(pid: int) -> float:
+    """Return the CPU time of the recorder and of its sync process [s]."""
     processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
     return float(
         sum(process.cpu_times().user + process.cpu_times().system for process in processes)

@@ -8,7 +8,7 @@ from firmware_sim.command_line import CommandParser, stop_on_signal
 from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 
-_POLL_S = 0.2
+_POLL_PERIOD_S = 0.2
 """Period with which the program checks for a stop signal [s]."""
 
 
@@ -37,7 +37,7 @@ def run(words: list[str]) -> None:
         while is_running:
             wait_ns = max(0, port.due_ns - now_ns())
             ready_sockets, _, _ = select.select(
-                port.read_sockets(), port.write_sockets(), [], min(_POLL_S, wait_ns * 1e-9)
+                port.read_sockets(), port.write_sockets(), [], min(_POLL_PERIOD_S, wait_ns * 1e-9)
             )
             while port.receive(ready_sockets):
                 ready_sockets = []

@@ -98,10 +98,10 @@ class SimulatedDriveBench:
         specs = motor_specs_with_fault(specs, fault)
         self.step_progress_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
-        pairs = zip(specs, self.motors, strict=True)
+        specs_and_motors = zip(specs, self.motors, strict=True)
         self.nodes: list[SimulatedNode] = [
             with_fault(PROTOCOL_SPECS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault)
-            for spec, motor in pairs
+            for spec, motor in specs_and_motors
         ]
         self._unsolicited: list[Frame] = []
         self.faults = ActiveFaults(BenchWorld(self, specs))
@@ -145,8 +145,9 @@ class SimulatedDriveBench:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        If the time ``t_ns`` is within a time step, the method divides the step. The next call of
-        ``advance`` or ``advance_exactly`` completes the divided step before further steps.
+        If the time ``t_ns`` is within a time step, the method simulates only the first part of the
+        step. The next call of ``advance`` or ``advance_exactly`` first simulates the rest of the
+        divided step.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns

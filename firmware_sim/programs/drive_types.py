@@ -71,7 +71,7 @@ def drive_spec(
 
 
 def _check_type(protocol: str, motor_type: str) -> None:
-    """Check that a protocol has a motor type. The protocol ``mit`` accepts all motor types with an MIT mode.
+    """Check that a motor type fits a drive protocol. The protocol ``mit`` fits all motor types with an MIT mode.
 
     Raises:
         SimulatorError: the motor type does not exist, or uses another protocol.

@@ -53,8 +53,12 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits of the random
     hand are mounted on other digits.
     """
-    raw = hand_content("jamia11")
-    finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
+    jamia11_content = hand_content("jamia11")
+    finger, tendon, motor = (
+        jamia11_content["digit"][0],
+        jamia11_content["tendon"][0],
+        jamia11_content["motor"][0],
+    )
     digits, entries, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
     while len(entries) < tendons:
         name, remaining_tendons, size = (
@@ -97,10 +101,16 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         }
         for n in range(tendons)
     ]
-    buses = [raw["bus"][0] | {"name": name} for name in BUS_NAMES[: -(-tendons // MOTORS_PER_BUS)]]
+    buses = [
+        jamia11_content["bus"][0] | {"name": name}
+        for name in BUS_NAMES[: -(-tendons // MOTORS_PER_BUS)]
+    ]
     read = [joint for joint in joints if rng.random() < 0.6]
-    node = raw["sensor_node"] | {"tendons": [entry["name"] for entry in entries], "joints": read}
-    content = raw | {
+    node = jamia11_content["sensor_node"] | {
+        "tendons": [entry["name"] for entry in entries],
+        "joints": read,
+    }
+    content = jamia11_content | {
         "name": "random",
         "bus": buses,
         "digit": digits,
@@ -131,12 +141,12 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
-    allowed = set[str]()
+    candidate_motors = set[str]()
     for digit in hand.digit:
         tendons = hand.tendon[hand.digit_tendons[digit.name]]
         if len(tendons) <= (len(digit.joints) if digit.coupling is None else 1):
-            allowed |= {tendon.motor for tendon in tendons}
-    return {name for name in sorted(allowed) if rng.random() < 0.5}
+            candidate_motors |= {tendon.motor for tendon in tendons}
+    return {name for name in sorted(candidate_motors) if rng.random() < 0.5}
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:

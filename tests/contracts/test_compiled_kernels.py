@@ -283,7 +283,7 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
         "PYTHONPATH": str(package_folder.parent),
     }
     command = [sys.executable, "-c", RUN_PROBE_SCRIPT]
-    done = subprocess.run(
+    completed_process = subprocess.run(
         command,
         env=environment,
         capture_output=True,
@@ -291,8 +291,8 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
         cwd=package_folder.parent,
         timeout=120,
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    result, hits, stored = done.stdout.split()
+    assert completed_process.returncode == 0, completed_process.stderr[-2000:]
+    result, hits, stored = completed_process.stdout.split()
     return result == "True", int(hits) > 0, stored == "True"
 
 

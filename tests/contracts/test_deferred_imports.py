@@ -1,4 +1,4 @@
-"""Test library modules that handctl imports only when one of the functions in the module is used."""
+"""Test deferred imports: handctl imports a library module only when it first uses a function of the module."""
 
 import subprocess
 import sys

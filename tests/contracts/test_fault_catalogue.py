@@ -147,9 +147,9 @@ def test_the_pages_agree_with_the_code() -> None:
     assert catalogue_markdown() in evidence
     assert late_reactions_markdown() in evidence
     assert hardware_checklist() in evidence
-    reference = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
-    assert fault_table_markdown() in reference
-    assert fault_sections() in reference
+    fault_page_text = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
+    assert fault_table_markdown() in fault_page_text
+    assert fault_sections() in fault_page_text
 
 
 def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:

@@ -21,10 +21,10 @@ def memory_samples(
     duration_s: float, mib_per_h: float = 0.0, noise_mib: float = 0.0
 ) -> list[MemorySample]:
     chance = random.Random(1)
-    times = [30.0 * i for i in range(int(duration_s / 30) + 1)]
+    sample_times_s = [30.0 * i for i in range(int(duration_s / 30) + 1)]
     return [
         MemorySample(t, 350.0 + mib_per_h * t / 3600 + noise_mib * chance.random(), 7)
-        for t in times
+        for t in sample_times_s
     ]
 
 

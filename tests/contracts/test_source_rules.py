@@ -125,10 +125,12 @@ def test_the_locks_name_no_index_and_hash_every_package() -> None:
 
 def names_of_module(module_name: str) -> set[str]:
     """Return every name that a module or a package defines or imports."""
-    places = [top / module_name.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)]
+    candidate_paths = [
+        top / module_name.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)
+    ]
     module_path = next(
         module_path
-        for module_path in places
+        for module_path in candidate_paths
         if module_path.is_dir() or module_path.with_suffix(".py").exists()
     )
     if module_path.is_dir():

@@ -1,7 +1,7 @@
 """Test that no module is imported during a tick.
 
-An import takes up to 0.3 s. A tick with an import would be so long that the run would end with the
-fault H03 (the host stalled).
+The import of a module takes up to 0.3 s. A tick with an import would be so long that the run would
+end with the fault H03 (the host stalled).
 """
 
 import subprocess

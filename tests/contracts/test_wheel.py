@@ -42,12 +42,12 @@ class WheelEnvironment:
         self.wheel = self._build_wheel()
         venv.create(environment_folder / "env", with_pip=True)
         self._constraints = environment_folder / "constraints.txt"
-        pins = re.findall(
+        pinned_requirements = re.findall(
             r"^[a-z0-9][^\n]*==[^\n\\]*",
             (REPOSITORY / "requirements-dev.lock").read_text(),
             re.MULTILINE,
         )
-        self._constraints.write_text("\n".join(pins))
+        self._constraints.write_text("\n".join(pinned_requirements))
 
     def _build_wheel(self) -> Path:
         wheel_folder = self.folder / "dist"

@@ -62,10 +62,10 @@ def campaign_report():
 
 
 def test_only_existing_load_cells_fail():
-    """Reproduce a defect.
+    """Reproduce a defect: the campaign ended with a traceback for a hand with spool pairs.
 
-    The campaign tried to saturate the load cell of a spool pair. A spool pair (two tendons on one
-    spool) has no load cell, so the campaign ended with a traceback.
+    The campaign tried to saturate the load cell of a spool pair (two tendons on one spool), but a
+    spool pair has no load cell.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -104,8 +104,8 @@ def test_fault_free_run_alone_continues_its_seeds():
     """
     seeds = []
 
-    def record_run(hand, rate, seconds, seed):
-        seeds.append((round(rate), seconds, seed))
+    def record_run(hand, rate_hz, seconds, seed):
+        seeds.append((round(rate_hz), seconds, seed))
         return []
 
     with pytest.MonkeyPatch.context() as patch:
@@ -121,8 +121,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    The run stays in the phase ``last_phase`` for eight seconds. In each second, the run reports the
-    faults ``event_texts``.
+    The run stays in the phase ``last_phase`` for eight seconds. Once per second, the run reports
+    every fault in ``event_texts``.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
@@ -160,12 +160,12 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
-    """Reproduce a defect.
+    """Reproduce a defect: the controller detected the exchange of two drives only after 2.3 s.
 
-    Two drives were exchanged: each drive reported the encoder and the current of the other drive.
-    The fault N17 compares the changes of the commanded torque with the changes of the reported
-    torque. The large changes at a contact dominated the comparison, so the controller detected the
-    exchange only after 2.3 s.
+    Each of the two drives reported the encoder and the current of the other drive. The fault N17
+    compares the changes of the commanded torque with the changes of the reported torque. In this
+    comparison, the large torque changes at a contact with the object hid the differences that the
+    exchange of the drives caused.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -215,7 +215,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     row_without_reaction = FaultMatrixRow(
         "B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",)
     )
-    slow_row = FaultMatrixRow(
+    row_detected_too_late = FaultMatrixRow(
         "T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, accepted_faults=("T04",)
     )
     results = []
@@ -223,7 +223,8 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.run_tick()
         scenarios = [
-            FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow_row)
+            FaultScenario(row, row.fault, GRASP_STAGE)
+            for row in (row_without_reaction, row_detected_too_late)
         ]
         run_in_forked_processes(
             simulation,
@@ -350,10 +351,10 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """Within 20 ms, the fault T04b (a load cell is wrong) detects only tensions that are too high.
+    """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
-    If a drive switches off, the tension becomes too low. Therefore the controller reports the error
-    of the drive instead of T04b.
+    If a drive switches off, the tension becomes too low. For this low tension, the controller
+    therefore reports the error of the drive, and not the fault T04b.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
@@ -434,8 +435,8 @@ def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(see
     """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
 
     A high speed of a spool shows that the drive has released its tendon. Between two rare reports
-    of an ODrive, the estimated speed is only a prediction. The prediction of a high speed hid the
-    fault.
+    of an ODrive, the estimated speed is only a prediction. If the predicted speed was high, the
+    controller wrongly concluded that the drive had released its tendon.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2
@@ -469,11 +470,12 @@ def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, 
 
 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
-    """The scenario of the fault H03 (the host stalled) misses more ticks at a faster control rate.
+    """Check that the scenario of the fault H03 (the host stalled) misses more ticks at a faster control rate.
 
-    Reproduce a defect: the scenario of H03 missed 14 ticks at every control rate. At 1 kHz, 14
-    missed ticks last 14 ms, which is too short to count as a stall of the host. At 200 Hz, 14
-    missed ticks last 70 ms, which is longer than the watchdog time of the drives.
+    Reproduce a defect: in the scenario of the stalled host, the host missed 14 ticks at every
+    control rate. At 1 kHz, 14 missed ticks last 14 ms, which is too short to count as a stall of
+    the host. At 200 Hz, 14 missed ticks last 70 ms, which is longer than the watchdog time of the
+    drives.
     """
     hand = hand_with_protocol("t42", "mit")
     watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
@@ -488,12 +490,15 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     """At control rates up to 500 Hz, the time limit for the reaction to a fault is ``max_ticks`` ticks.
 
-    At 1 kHz, the time limit is twice as many ticks if ``scales_with_period`` is True for the fault.
+    At 1 kHz, the time limit is ``2 * max_ticks`` ticks if ``scales_with_period`` is True in the row
+    of the fault. For all other faults, the time limit at 1 kHz is also ``max_ticks`` ticks.
     """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
-        slow = [fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
-        assert slow == 3 * [row.max_ticks]
+        limits_up_to_500_hz = [
+            fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)
+        ]
+        assert limits_up_to_500_hz == 3 * [row.max_ticks]
         fast_ticks = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
         assert fixed_row.reaction_limit_ticks("mit", 1.0) == fast_ticks
     assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}
@@ -503,8 +508,9 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     """Reproduce a defect: at 1 kHz, the controller needed more ticks to detect two faults than at 500 Hz.
 
-    One detection was late because of the low-pass filter of N14 (a command is not obeyed), and the
-    other because of a delayed frame.
+    The detection of N14 (a command is not obeyed) was late because of the low-pass filter of the
+    detector. The fault B04 (a delayed frame) is detected only when the frame arrives, which takes
+    more ticks at 1 kHz.
     """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_MOTION_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
@@ -535,8 +541,8 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
     """Reproduce a defect: the campaign did not accept the fault T01 (a tendon snapped) as a detection.
 
-    The controller correctly relaxed the hand after 26 ticks because of T01, but the campaign
-    expected other faults.
+    The controller correctly relaxed the hand after 26 ticks because of the fault T01 (a tendon
+    snapped), but the campaign accepted only other faults.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
@@ -559,21 +565,27 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
-    The bound of the tension follows from the force limit and the momentum of the drive. The runaway
-    drive pulls the tendon with at most the force F. Converted to the tendon, the inertia of the
-    rotor is the mass m, and the initial speed is v. The tendon has the stiffness k and the initial
-    tension T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of
-    the controller can only make the tension smaller than the bound.
+    The bound of the tension follows from the force limit and the momentum of the drive. Without
+    friction, the tension rises to F + sqrt((F - T)^2 + k m v^2), with these values of the tendon
+    and its drive:
+
+    - F: force limit of the runaway drive [N]
+    - T: initial tension [N]
+    - k: stiffness of the tendon [N/m]
+    - m: inertia of the rotor, converted to a mass at the tendon [kg]
+    - v: initial speed of the rotor, converted to the tendon [m/s]
+
+    The reaction of the controller can only make the tension smaller than the bound.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        space = simulation.controller.model.tendon_constants
-        at = simulation.simulated_hand.truth()["tension"][0]
+        tendon_constants = simulation.controller.model.tendon_constants
+        start_tension = simulation.simulated_hand.truth()["tension"][0]
         v = (
             abs(
                 float(simulation.last_output.telemetry.motor_velocity[0])
-                * float(space.spool_radius[0])
+                * float(tendon_constants.spool_radius[0])
             )
             + 0.01
         )
@@ -581,11 +593,11 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
         scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
         result = run_scenario(simulation, scenario, "mit")
     limit = hand.tendon[0].drive_limit_N
-    k = float(space.stiffness[0])
-    m = float(space.motor_mass[0])
-    bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
+    k = float(tendon_constants.stiffness[0])
+    m = float(tendon_constants.motor_mass[0])
+    bound = limit + math.sqrt((limit - start_tension) ** 2 + k * m * v**2)
     assert result.ok, result.problem
-    assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
+    assert start_tension < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
 
 
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():

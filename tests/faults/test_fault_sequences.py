@@ -86,9 +86,9 @@ def test_sequence_violates_no_rule():
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
     """In the fault sequence of this test, a drive runs away.
 
-    The safety rule about high tensions usually allows a high tension that a runaway drive has
-    caused. The test changes the rule, so that the rule no longer allows the high tension of a
-    runaway drive. The fault sequence must violate the changed rule.
+    The safety rule about high tensions makes an exception for a tension that a runaway drive has
+    caused. The test removes the exception for runaway drives from the rule. Without this exception,
+    the fault sequence must violate the safety rule about high tensions.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

@@ -86,20 +86,25 @@ def tension_bound(
 ) -> np.ndarray:
     """Return an upper bound of each tension [N], as an array with the shape (tendons,).
 
-    The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
-    Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at
-    most F pulls the rotor against the stiffness k of the tendon. From a tension T, the tension
-    rises to at most F + sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the
-    force F also increases the speed of the rotor.
+    The bound of a tension follows from the motion of the rotors and the stretch of the tendons. The
+    tension rises to at most F + sqrt((F - T)^2 + k m v^2), with these values of a tendon and its
+    motor:
+
+    - F: largest force of the motor [N]
+    - T: initial tension [N]
+    - k: stiffness of the tendon [N/m]
+    - m: inertia of the rotor, converted to a mass at the tendon [kg]
+    - v: initial speed of the rotor [m/s], plus the speed that the rotor gains from F while the
+      finger of the tendon moves freely
     """
-    space = simulation.controller.model.tendon_constants
+    tendon_constants = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
-    max_speed = np.abs(initial_state.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
-        initial_state.tension < 10.0
-    )
+    max_speed = np.abs(
+        initial_state.speed
+    ) + largest / tendon_constants.motor_mass * COMMAND_DELAY_S * (initial_state.tension < 10.0)
     stretch = (
         largest - initial_state.tension
-    ) ** 2 + space.stiffness * space.motor_mass * max_speed**2
+    ) ** 2 + tendon_constants.stiffness * tendon_constants.motor_mass * max_speed**2
     return np.maximum(largest + np.sqrt(stretch), initial_state.tension) + TENSION_BOUND_MARGIN_N
 
 
@@ -190,10 +195,10 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
-        free_ticks = 0
+        free_phase_ticks = 0
         out = simulation.run_tick()
         while not hidden_faults.is_at_stage(
-            "free", out, free_ticks := free_ticks + (out.phase == "free")
+            "free", out, free_phase_ticks := free_phase_ticks + (out.phase == "free")
         ):
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)

@@ -385,16 +385,16 @@ def send_sdo(bench: SimulatedDriveBench, request_data: bytes) -> bytes:
 
 
 def write_object(
-    bench: SimulatedDriveBench, index: int, subindex: int, value: int, size: int
+    bench: SimulatedDriveBench, index: int, sub_index: int, value: int, size: int
 ) -> int:
     """Write an object of the CiA 402 drive by SDO. Return the abort code, or 0 if the drive sends no abort code."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
-    reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex) + raw)
+    reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub_index) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
 
 
-def read_object(bench: SimulatedDriveBench, index: int, subindex: int = 0) -> int:
-    reply = send_sdo(bench, struct.pack("<BHB4x", 0x40, index, subindex))
+def read_object(bench: SimulatedDriveBench, index: int, sub_index: int = 0) -> int:
+    reply = send_sdo(bench, struct.pack("<BHB4x", 0x40, index, sub_index))
     size = 4 - (reply[0] >> 2 & 3)
     return int.from_bytes(reply[4 : 4 + size], "little", signed=True)
 

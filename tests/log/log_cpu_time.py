@@ -40,12 +40,13 @@ def _write_log(
 def main() -> None:
     """Measure the CPU time per tick of four steps of recording.
 
-    The steps of recording are packing, writing, the pipe to the recorder in lockstep, and reading.
+    The four steps are: pack the ticks, write the log, send the ticks through the pipe to a recorder
+    in lockstep, and read the log.
     """
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
         ticks = list(synthetic_run.SyntheticRunTicks(run, 10.0))
-        number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
+        tick_count, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
         bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
@@ -53,19 +54,19 @@ def main() -> None:
                 f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frame_count(ticks[9])} frames a tick"
             )
             packing_us = _us_per_item(
-                number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks]
+                tick_count, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks]
             )
             print(f"  pack            {packing_us:7.1f} us")
             writing_us = _us_per_item(
-                number, lambda path=path, run=run, bodies=bodies: _write_log(path, run, bodies)
+                tick_count, lambda path=path, run=run, bodies=bodies: _write_log(path, run, bodies)
             )
             print(
-                f"  write (child)   {writing_us:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file"
+                f"  write (child)   {writing_us:7.1f} us, {path.stat().st_size / tick_count:.0f} bytes in the file"
             )
             print(
                 f"  pipe, lockstep  {_lockstep_write_us(Path(folder) / 'b.mcap', run, records):7.1f} us wall time"
             )
-            _print_read_time(path, number)
+            _print_read_time(path, tick_count)
 
 
 def _frame_count(tick: tuple[synthetic_run.TickIn, synthetic_run.TickOut]) -> int:

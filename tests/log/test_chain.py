@@ -46,10 +46,15 @@ def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]
     with RunLog(_write_log(tmp_path / "a.mcap", clocks, 35.0, deterministic=False)) as log:
         assert [pair[1:] for pair in log.clock_pairs] == clocks
-        times = [pair.t_ns for pair in log.clock_pairs]
-        assert times[0] <= 300_000_000
-        assert all(10_000_000_000 <= b - a < 10_300_000_000 for a, b in itertools.pairwise(times))
-        assert list(clock_steps(log.clock_pairs)) == [ClockStep(times[2] * 1e-9, 3600.0)]
+        clock_pair_times_ns = [pair.t_ns for pair in log.clock_pairs]
+        assert clock_pair_times_ns[0] <= 300_000_000
+        assert all(
+            10_000_000_000 <= b - a < 10_300_000_000
+            for a, b in itertools.pairwise(clock_pair_times_ns)
+        )
+        assert list(clock_steps(log.clock_pairs)) == [
+            ClockStep(clock_pair_times_ns[2] * 1e-9, 3600.0)
+        ]
 
 
 def test_a_slewed_clock_has_no_step() -> None:

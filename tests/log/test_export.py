@@ -147,9 +147,9 @@ def test_time_stamps_of_the_candump_rise(
 ) -> None:
     """On a local bus, the time stamp of a frame is the time at which the frame is read.
 
-    The time stamp can be later than the start of the tick. In the exported file, the frames that a
-    tick sends follow the frames that the tick has read. The time stamps of the sent frames must not
-    be earlier than those of the read frames.
+    The time stamp of a frame can therefore be later than the start of the tick that reads the
+    frame. In the exported file, the frames that a tick sends follow the frames that the tick has
+    read. The time stamps of the sent frames must not be earlier than those of the read frames.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

@@ -69,9 +69,9 @@ def test_polars_reads_the_text(golden_log: RunLog, tmp_path: Path) -> None:
 
 
 def test_the_dataset_has_the_values_of_the_log(golden_log: RunLog, exported_dataset: Path) -> None:
-    info = json.loads((exported_dataset / "meta" / "info.json").read_text())
+    dataset_info = json.loads((exported_dataset / "meta" / "info.json").read_text())
     file_indices = {"chunk_index": 0, "file_index": 0}
-    table = polars.read_parquet(exported_dataset / info["data_path"].format(**file_indices))
+    table = polars.read_parquet(exported_dataset / dataset_info["data_path"].format(**file_indices))
     active = golden_log.mode == int(HandMode.ACTIVE)
     state = np.hstack([golden_log.field("q")[active], golden_log.field("tension")[active]]).astype(
         np.float32
@@ -86,17 +86,21 @@ def test_the_dataset_has_the_values_of_the_log(golden_log: RunLog, exported_data
     np.testing.assert_allclose(table["timestamp"].to_numpy(), times, atol=1e-6)
     assert table["frame_index"].to_list() == table["index"].to_list() == list(range(len(table)))
     assert table["next.done"].to_list() == [False] * (len(table) - 1) + [True]
-    assert (info["fps"], info["total_frames"], info["robot_type"]) == (200, len(table), "jamia")
+    assert (dataset_info["fps"], dataset_info["total_frames"], dataset_info["robot_type"]) == (
+        200,
+        len(table),
+        "jamia",
+    )
 
 
 def test_every_feature_is_declared_as_it_is(exported_dataset: Path) -> None:
-    info = json.loads((exported_dataset / "meta" / "info.json").read_text())
+    dataset_info = json.loads((exported_dataset / "meta" / "info.json").read_text())
     statistics = json.loads((exported_dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(
-        exported_dataset / info["data_path"].format(chunk_index=0, file_index=0)
+        exported_dataset / dataset_info["data_path"].format(chunk_index=0, file_index=0)
     )
-    assert set(info["features"]) == set(table.columns) == set(statistics)
-    for name, feature in info["features"].items():
+    assert set(dataset_info["features"]) == set(table.columns) == set(statistics)
+    for name, feature in dataset_info["features"].items():
         (size,) = feature["shape"]
         assert np.asarray(table[name].to_numpy()).reshape(len(table), -1).shape[1] == size, name
         assert str(np.asarray(table[name].to_numpy()).dtype) == feature["dtype"], name
@@ -146,15 +150,23 @@ def test_several_logs_become_episodes_of_one_dataset(
     episodes = polars.read_parquet(
         tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
     ).to_dicts()
-    info = json.loads((tmp_path / "y" / "meta" / "info.json").read_text())
+    dataset_info = json.loads((tmp_path / "y" / "meta" / "info.json").read_text())
     tasks = polars.read_parquet(tmp_path / "y" / "meta" / "tasks.parquet").to_dicts()
-    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (
+    assert (
+        dataset_info["total_episodes"],
+        dataset_info["total_frames"],
+        dataset_info["splits"],
+    ) == (
         3,
         frames,
         {"train": "0:3"},
     )
     assert table["index"].to_list() == list(range(frames))
-    assert len(tasks) == info["total_tasks"] == len({episode["tasks"][0] for episode in episodes})
+    assert (
+        len(tasks)
+        == dataset_info["total_tasks"]
+        == len({episode["tasks"][0] for episode in episodes})
+    )
     single_log_table = polars.read_parquet(
         exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     )

@@ -29,7 +29,7 @@ from handctl.log.write.recorder_start import prestarted_recorder_process
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 TICK_SENDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4
-RECORDER_KILLS = 100 if NIGHTLY else 1
+RECORDER_KILL_COUNT = 100 if NIGHTLY else 1
 TICK_SENDER_PROGRAM = Path(__file__).with_name("tick_sender.py")
 
 
@@ -119,9 +119,9 @@ def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
 
 
 def test_a_process_started_ahead_ends_with_its_controller() -> None:
-    code = "from handctl.log.write import recorder_start\nprint(recorder_start.start_recorder_process().child.pid)"
+    script = "from handctl.log.write import recorder_start\nprint(recorder_start.start_recorder_process().child.pid)"
     ended = subprocess.run(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, check=False
     )
     recorder = Path(f"/proc/{ended.stdout.strip()}")
     assert _wait_until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
@@ -155,12 +155,12 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
                 assert len(list(log.ticks())) == len(log) == len(log.field("tension"))
 
 
-@pytest.mark.parametrize("kill_number", range(RECORDER_KILLS))
+@pytest.mark.parametrize("kill_number", range(RECORDER_KILL_COUNT))
 def test_a_killed_recorder_loses_a_quarter_of_a_second(
     start_recorder: Callable[..., Recorder], tmp_path: Path, kill_number: int
 ) -> None:
-    number = random.Random(kill_number).randrange(300, 900)
-    recorder, records = start_recorder(), _make_records(number)
+    tick_count = random.Random(kill_number).randrange(300, 900)
+    recorder, records = start_recorder(), _make_records(tick_count)
     started = time.monotonic()
     for k, record in enumerate(records):
         assert recorder.send_record(record)
@@ -173,7 +173,7 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
         assert log.gaps == []
         lost = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
-    assert lost * 0.001 <= 0.25 + (kill_time_s - started - number * 0.001)
+    assert lost * 0.001 <= 0.25 + (kill_time_s - started - tick_count * 0.001)
     assert not recorder.send_record(records[0])
     assert IoEvent("recorder", "gone") in recorder.take_events()
     assert recorder.take_events() == ()
@@ -275,8 +275,8 @@ def test_interrupts_do_not_reach_the_recorder(
 ) -> None:
     recorder = start_recorder()
     assert os.getsid(recorder._child.pid) != os.getsid(0)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(recorder._child.pid, number)
+    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(recorder._child.pid, signal_number)
     for record in _make_records(10):
         assert recorder.send_record(record)
     assert recorder.close("stopped by hand")["ticks"] == 10

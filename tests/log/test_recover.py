@@ -169,25 +169,27 @@ def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_
         RunLog(tmp_path / "cut.mcap")
 
 
-@pytest.mark.parametrize("what", ["attachment", "metadata", "chunk's header"])
-def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize("damaged_part", ["attachment", "metadata", "chunk's header"])
+def test_a_damaged_record_affects_no_other(
+    small_log: Path, tmp_path: Path, damaged_part: str
+) -> None:
     raw, scan = bytearray(small_log.read_bytes()), _scan_log(small_log)
     (_, _, content), values = scan.attachments["hand.urdf"], scan.metadata["handctl.run"]
     at = {
         "attachment": raw.index(content) + 100,
         "metadata": raw.index(min(values).encode()) - 1,
         "chunk's header": scan.chunks[3].offset + 9 + 23,
-    }[what]
+    }[damaged_part]
     raw[at] ^= 0x80
     recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
+    assert recovery.chunks == len(scan.chunks) - (damaged_part == "chunk's header")
     start, end = recovery.lost_ranges[0]
     assert start < at < end
     recovered_messages = _scan_log(out)
     assert not recovered_messages.problem
     assert scan.attachments.keys() - recovered_messages.attachments.keys() == (
-        {"hand.urdf"} if what == "attachment" else set()
+        {"hand.urdf"} if damaged_part == "attachment" else set()
     )
 
 

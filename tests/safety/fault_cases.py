@@ -42,7 +42,7 @@ at once.
 EIGHT_TENDON_LIMITS = replace(
     synthetic_limits(TENDON_COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
 )  # fmt: skip
-LOAD_CELLS_NODE = TENDON_COUNT
+LOAD_CELLS_NODE_INDEX = TENDON_COUNT
 """Index that stands for all load cells together in the list of the hand's nodes."""
 
 
@@ -128,7 +128,7 @@ def lost_frames(**lost_frames_by_node: int) -> TickInput:
     """
     return state_input(
         lost={
-            (0, LOAD_CELLS_NODE if name == "cells" else int(name[1:])): (1 << n) - 1
+            (0, LOAD_CELLS_NODE_INDEX if name == "cells" else int(name[1:])): (1 << n) - 1
             for name, n in lost_frames_by_node.items()
         }
     )
@@ -444,8 +444,8 @@ def monitor_at_rest() -> SyntheticMonitor:
 def reset_monitor_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateValues:
     """Reset a monitor to a hand at rest.
 
-    Return the state values of ``tick_input``. The caller must give these values to the next tick of
-    the monitor.
+    Return the state values of ``tick_input``. The caller must pass the returned state values to the
+    next call of ``monitor.tick``.
     """
     monitor.reset_to_rest()
     return dict(tick_input.state_values)

@@ -1,6 +1,6 @@
-"""Safety monitor of a generated hand.
+"""Safety monitor of a generated hand, for tests that set the state of the monitor directly.
 
-A test sets values of the state, and each call of the monitor is one tick of ``find_faults``.
+Each call of ``SyntheticMonitor.tick`` runs the fault detectors (``find_faults``) for one tick.
 """
 
 from collections.abc import Iterable
@@ -278,20 +278,25 @@ class SyntheticMonitor:
 
 
 def _uncompiled_helper(kernel_helper: Any) -> Any:
-    """Return an uncompiled copy of a function that only compiled kernels call.
+    """Return an uncompiled copy of a kernel helper, which is a function that only compiled kernels call.
 
-    The uncompiled copy calls uncompiled copies of the other functions that only kernels call.
+    If the kernel helper calls other kernel helpers, the copy calls uncompiled copies of them.
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper
-    code = kernel_helper.py_func
-    global_names = dict(code.__globals__)
+    python_function = kernel_helper.py_func
+    global_names = dict(python_function.__globals__)
     global_names |= {
         name: _uncompiled_helper(global_names[name])
-        for name in code.__code__.co_names
+        for name in python_function.__code__.co_names
         if hasattr(global_names.get(name), "py_func")
     }
-    return FunctionType(code.__code__, global_names, code.__name__, code.__defaults__)
+    return FunctionType(
+        python_function.__code__,
+        global_names,
+        python_function.__name__,
+        python_function.__defaults__,
+    )
 
 
 def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:

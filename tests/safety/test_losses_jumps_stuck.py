@@ -45,9 +45,9 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
 
 
 class LostFrameWindows(SyntheticMonitor):
-    """A motor and a load cell with their windows of lost frames.
+    """Safety monitor of a motor and a load cell, with a window of lost frames for each of them.
 
-    A window of lost frames has one bit per tick, which is set if a frame was lost.
+    A window of lost frames has one bit per tick. The bit is set if the frame of the tick was lost.
     """
 
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
@@ -403,7 +403,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A target jumps when it is reset to the measured position. No motor has to follow the jump of the target."""
+    """If a target jumps because it is reset to the measured position, a motor that does not follow is not stuck."""
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

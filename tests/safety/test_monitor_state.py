@@ -223,8 +223,8 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
     monitor.set_constants(cell_group=[-1, -1])
     _, findings = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
     difference = abs(commanded_force_N - reported_force_N)
-    expected = {name: pytest.approx(difference, abs=0.01) for name in ("ma", "mb")}
-    assert findings.get("N14", {}) == (expected if is_reported else {})
+    expected_findings = {name: pytest.approx(difference, abs=0.01) for name in ("ma", "mb")}
+    assert findings.get("N14", {}) == (expected_findings if is_reported else {})
 
 
 @pytest.mark.parametrize(("excess_friction_N", "is_reported"), [(5.8, False), (6.1, True)])
@@ -251,12 +251,12 @@ def test_a_noisy_encoder_is_detected():
 
     The mean square of the second difference of the encoder position is 16 d^2.
     """
-    for size, expected in (
+    for size, expected_findings in (
         (2.4e-3, {}),
         (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
     ):
         _, findings = run_ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
-        assert findings.get("N07", {}) == expected
+        assert findings.get("N07", {}) == expected_findings
 
 
 def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
@@ -446,21 +446,21 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(
 
 
 def test_constant_motor_reading_is_stuck_while_the_tension_changes():
-    for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
+    for tension, expected_names in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
         _, findings = run_ticks(
             200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension]
         )
-        assert list(findings.get("N04", {})) == expected
+        assert list(findings.get("N04", {})) == expected_names
 
 
 def test_constant_joint_reading_is_stuck_while_the_spool_turns():
-    for angle, expected in ((9.9, []), (10.1, ["ja"])):
+    for angle, expected_names in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
         monitor = monitor_after_motion(joints=0.2, **joints)
         run_ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
         _, findings = run_ticks(55, monitor, travel=travel, joints=0.3, **joints)
-        assert [name for name in findings.get("N04", {}) if name[0] == "j"] == expected
+        assert [name for name in findings.get("N04", {}) if name[0] == "j"] == expected_names
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
@@ -529,9 +529,9 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    If the reply of the drive is in time, the reading with the motion of five ticks arrives in the
-    first tick after the gap. If the reply is one tick late, the reading arrives in the second tick
-    after the gap.
+    If the drive replies in time, the first tick after the gap gets this reading. If the drive
+    replies one tick late, only the second tick after the gap gets the reading with the motion of
+    five ticks.
     """
 
     def noise_and_balance_after_gap(missed_ticks):
@@ -596,10 +596,10 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 
 
 def state_with_reply_ages(**age_by_node: int) -> dict[str, Any]:
-    """Return values of the state that contain the ages of replies [ticks].
+    """Return the state fields with the arrival times of the last frames [ns], for given ages of the frames [ticks].
 
-    The keyword ``ma`` is the age of the last frame from the motor of tendon a. The keyword ``a`` is
-    the age of the last frame from the load cell of tendon a.
+    The keyword ``ma`` is the age of the last frame from the motor of tendon a [ticks]. The keyword
+    ``a`` is the age of the last frame from the load cell of tendon a [ticks].
     """
     last_frame_ns_by_node = {
         name: NOW_NS - age_by_node.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")

@@ -181,9 +181,7 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
-    """The motor force rises by 4 N, and after that falls to 4 N below its first value.
-
-    At the end of the test, the motor force has its first value again.
+    """The motor force rises by 4 N, falls to 4 N below its first value, and returns to its first value.
 
     Reproduce a defect: the detector used only the difference between the present motor force and
     its start value. The stuck load cell of an extensor in the hand ``n_plus_1`` was therefore
@@ -191,12 +189,12 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_state_values({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
-    reported = []
+    is_reported_at_force = []
     for force in (20.0, 24.0, 16.0, 20.0):
         for _ in range(STUCK_CELL_READINGS):
             findings = monitor.tick(measurements_at_rest(force=force, tension=20.0))
-        reported.append("T05" in findings)
-    assert reported == [False, False, True, True]
+        is_reported_at_force.append("T05" in findings)
+    assert is_reported_at_force == [False, False, True, True]
     assert findings["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 

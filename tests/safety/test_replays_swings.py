@@ -35,10 +35,10 @@ def noisy_readings(seed: int, tick_count: int, noise_N: float, cell_count: int =
 
 
 def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick in which repeated readings are detected, and the index of each affected tendon.
+    """Return the first tick in which repeated readings are detected, and a list of the affected tendons.
 
-    If no repeated readings are detected, the tick is -1. The index of a tendon is paired with the
-    age of its repeated readings [ticks].
+    If no repeated readings are detected, the tick is -1. Each affected tendon is a pair of numbers:
+    the index of the tendon, and the age of its repeated readings [ticks].
     """
     monitor = SyntheticMonitor(synthetic_limits(cell_readings.shape[1]))
     for k, row in enumerate(cell_readings):
@@ -65,7 +65,7 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_ag
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise_N: float) -> None:
     """New readings with any noise are not regarded as repeated readings.
 
-    Readings that are constant, or that alternate between two counts, are not regarded as repeated
+    Constant readings, and readings that alternate between two counts, are not regarded as repeated
     readings either.
     """
     assert first_repetition_tick(noisy_readings(seed, 20_000 if NIGHTLY else 3_000, noise_N)) == (

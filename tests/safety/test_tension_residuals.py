@@ -132,8 +132,8 @@ def test_inertia_friction_and_damping_are_explained():
 def test_acceleration_torque_is_no_residual():
     """In this test, a rotor accelerates with 10 m/s2 for 0.1 s.
 
-    The acceleration needs 52 N of the motor force. The force that accelerates the rotor must not
-    appear in the residual.
+    The motor needs 52 N of its force to accelerate its rotor. The force that accelerates the rotor
+    must not appear in the residual.
     """
 
     def force(t):

@@ -246,7 +246,7 @@ class MotionModes:
         self,
         step_s: float,
         speed: int,
-        subindex: int,
+        sub_index: int,
         acceleration_index: int,
         deceleration_index: int,
     ) -> bool:
@@ -259,7 +259,7 @@ class MotionModes:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
         max_speed = self._counts_per_s(
-            min(self._node.objects[speed, subindex], self._node.objects[0x6080, 0])
+            min(self._node.objects[speed, sub_index], self._node.objects[0x6080, 0])
         )
         return self._demand.trapezoid(
             self._target,

@@ -62,15 +62,15 @@ def write_page(path: Path, report: CampaignReport) -> None:
     html_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
     for protocol, results in report.results.items():
         rate = report.control_rates_hz[protocol]
-        number = Counter(result.id for result in results)
+        scenario_count_by_id = Counter(result.id for result in results)
         table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
         html_sections.append(
-            f"<h2>{table_title}</h2>{_html_table(_slowest_result_per_row(results), rate, number)}"
+            f"<h2>{table_title}</h2>{_html_table(_slowest_result_per_row(results), rate, scenario_count_by_id)}"
         )
         failed_results = [result for result in results if not result.ok]
         if failed_results:
             html_sections.append(
-                f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, number)}"
+                f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, scenario_count_by_id)}"
             )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
@@ -98,24 +98,28 @@ def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioR
 def reaction_time_ratio(result: ScenarioResult) -> float:
     """Return the reaction time in a scenario, divided by the largest allowed reaction time.
 
-    If there was no reaction, the result is 9.9.
+    If the controller did not react in the scenario, the returned ratio is 9.9.
     """
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 
-def _html_table(results: Iterable[ScenarioResult], rate_hz: float, number: Counter[str]) -> str:
+def _html_table(
+    results: Iterable[ScenarioResult], rate_hz: float, scenario_count_by_id: Counter[str]
+) -> str:
     title_cells = "".join(f"<th>{name}" for name in TABLE_TITLES)
-    rows = "".join(_html_row(result, rate_hz, number[result.id]) for result in results)
+    rows = "".join(
+        _html_row(result, rate_hz, scenario_count_by_id[result.id]) for result in results
+    )
     return f"<table><tr>{title_cells}</tr>{rows}</table>"
 
 
-def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
+def _html_row(result: ScenarioResult, rate_hz: float, scenario_count: int) -> str:
     failure_class = "" if result.ok else " bad"
     width = BAR_WIDTH_EM * min(reaction_time_ratio(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
     reaction_time_text = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
-        f"<td>{result.id}</td><td>{html.escape(TITLE_BY_FAULT_ID[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{result.id}</td><td>{html.escape(TITLE_BY_FAULT_ID[result.id])}</td><td class=n>{scenario_count}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
         f"<td class=n>{reaction_time_text}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
         f'<td><span class="bar{failure_class}" style="width:{width:.2f}em"></span></td>',

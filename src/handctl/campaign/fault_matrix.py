@@ -2,9 +2,9 @@
 
 Each row gives a fault, the affected parts of the hand, the stages of the run and the required
 reaction. Each row also has a time limit for the reaction. The reaction time counts from the
-physical event to the CAN frames that carry the reaction. The time limit is a number of ticks, plus
-milliseconds if the fault or a drive needs more time. An ODrive, for example, reports its state only
-every 100 ms, and the temperature every 200 ms.
+physical event to the CAN frames that carry the reaction. The time limit is a number of ticks. If a
+fault or a drive protocol needs more time, the row adds a number of milliseconds to the ticks. An
+ODrive, for example, reports its state only every 100 ms, and the temperature every 200 ms.
 """
 
 import math
@@ -398,7 +398,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
     for row in FAULT_MATRIX:
         if protocol in row.protocols:
             fault_texts = fault_texts_for_hand(hand, row.fault, period_ms)
-            end_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
+            first_and_last_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
             scenarios += [
                 FaultScenario(
                     row,
@@ -407,7 +407,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
                     missing_sensor_ticks=row.missing_sensor_ticks(hand, text, period_ms),
                 )
                 for stage in row.stages
-                for text in end_texts
+                for text in first_and_last_texts
                 if not (
                     row.needs_prompt_torque
                     and PROTOCOL_TRAITS[protocol].has_separate_torque_frame
@@ -424,7 +424,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     comes first. The second fault starts a few ticks later. The first fault affects the first
     possible part of the hand, such as the first motor, and the second fault affects the last
     possible part. Some faults can affect only parts that the hand does not have, for example load
-    cells. There are no pairs with such a fault. `period_ms` is the control period [ms].
+    cells. The function leaves out every pair that contains a fault of a missing part. `period_ms`
+    is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

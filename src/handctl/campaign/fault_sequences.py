@@ -280,7 +280,7 @@ def violations_in_tick(
 def _tension_bound(
     simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]
 ) -> float:
-    """Return the largest tension that is allowed in a sequence [N].
+    """Return the largest tension that the safety rules allow in a fault sequence [N].
 
     For a runaway drive, the function assumes that the tendon is slack at the start, and that the
     drive pulls until its watchdog has fired.
@@ -323,16 +323,16 @@ def violations_on_replay(
 ) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
-    If a tick has another state, other frames or other events than in the first execution, return a
-    list with one text. The text names the first tick that differs. If all ticks are equal to the
-    first execution, return an empty list.
+    If a repeated tick has another state, other frames or other events than in the first execution,
+    return a list with one text. The text names the first tick whose repetition differs from the
+    first execution. If all repeated ticks are equal to the first execution, return an empty list.
     """
-    for entry, tick_output in simulation.recorded_ticks[first_tick:]:
-        state, replayed = simulation.controller.tick(state, entry)
+    for tick_input, tick_output in simulation.recorded_ticks[first_tick:]:
+        state, replayed = simulation.controller.tick(state, tick_input)
         if (replayed.state_hash, replayed.frames, replayed.events) != (
             tick_output.state_hash,
             tick_output.frames,
             tick_output.events,
         ):
-            return [f"tick {entry.k} does not repeat with the same inputs"]
+            return [f"tick {tick_input.k} does not repeat with the same inputs"]
     return []

@@ -115,14 +115,14 @@ def run_scenario(
     start_tension = simulation.simulated_hand.truth()["tension"]
     speed = _tendon_speeds(simulation)
     reaction_start = ReactionStart(simulation, scenario)
-    host = (
+    host_fault = (
         HostFault(scenario.fault.removeprefix(HOST_FAULT_PREFIX))
         if scenario.fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
-    if host is None:
+    if host_fault is None:
         simulation.simulated_hand.inject(scenario.fault)
-    second_host = (
+    second_host_fault = (
         HostFault(scenario.second_fault.removeprefix(HOST_FAULT_PREFIX))
         if scenario.second_fault.startswith(HOST_FAULT_PREFIX)
         else None
@@ -132,17 +132,17 @@ def run_scenario(
         bound + SECOND_FAULT_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)
     ):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
-        inputs |= host.tick_arguments(i, simulation) if host else {}
-        if i == SECOND_FAULT_DELAY_TICKS and second_host:
-            inputs |= second_host.tick_arguments(0, simulation)
+        inputs |= host_fault.tick_arguments(i, simulation) if host_fault else {}
+        if i == SECOND_FAULT_DELAY_TICKS and second_host_fault:
+            inputs |= second_host_fault.tick_arguments(0, simulation)
         elif i == SECOND_FAULT_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skipped_ticks", 0))) * simulation.period_ns
         # If the fault stops the host for some ticks, the reaction time counts from the tick in
         # which the host continues.
-        start_ns = t_ns if host and i == 0 else start_ns
+        start_ns = t_ns if host_fault and i == 0 else start_ns
         tick_output = simulation.run_tick(**inputs)
-        first_effect_ns = _first_effect_ns(simulation, host, start_ns)
+        first_effect_ns = _first_effect_ns(simulation, host_fault, start_ns)
         _observe_tick(
             result,
             simulation,
@@ -153,7 +153,9 @@ def run_scenario(
         )
         if tick_output.mode == HandMode.DONE:
             break
-    result.effect_count = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
+    result.effect_count = (
+        1 if host_fault else int(simulation.simulated_hand.fault_states()[0]["felt"])
+    )
     result.tension_bound = tension_bound(
         simulation,
         scenario,
@@ -216,11 +218,15 @@ def runaway_tension(
 ) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
-    A runaway drive pulls with its largest force F, and accelerates its rotor. The rotor acts like a
-    mass m at the tendon. The tendon has the stiffness k, and resists. If the tension is T at the
-    start of the fault, the tension rises up to F + sqrt((F - T)^2 + k m v^2). The speed v is the
-    initial speed of the rotor plus the speed that the rotor gains from F while the finger moves
-    freely.
+    A runaway drive pulls the tendon, and accelerates its rotor. The tension of the tendon rises up
+    to F + sqrt((F - T)^2 + k m v^2), with these values of the tendon and its drive:
+
+    - F: largest force of the drive [N]
+    - T: tension at the start of the fault [N]
+    - k: stiffness of the tendon [N/m]
+    - m: inertia of the rotor, converted to a mass at the tendon [kg]
+    - v: initial speed of the rotor, plus the speed that the rotor gains from F while the finger
+      moves freely [m/s]
 
     Args:
         model: model of the hand.
@@ -245,12 +251,14 @@ def runaway_tension(
     return float(max(bounds))
 
 
-def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_ns: int) -> int:
+def _first_effect_ns(
+    simulation: SimulatedRun, host_fault: "HostFault | None", start_ns: int
+) -> int:
     """Return the time at which the injected fault first took effect [ns].
 
     If the fault has had no effect yet, the returned time is -1.
     """
-    if host is not None:
+    if host_fault is not None:
         return start_ns
     return int(simulation.simulated_hand.fault_states()[0]["first_ns"])
 
@@ -284,8 +292,9 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        The instant is -1 before the first effect. While the motor force has not varied enough, the
-        instant is the present tick.
+        Before the first effect of the fault, the method returns -1. After the first effect, the
+        method returns the time of the present tick until the motor force has varied enough for a
+        detection.
 
         Args:
             simulation: simulation after the present tick.
@@ -420,5 +429,5 @@ class HostFault:
             return {"skipped_ticks": int(self.words[0])}
         if self.kind == "late":
             return {"late_ns": round(float(self.words[0]) * simulation.period_ns)}
-        times = int(self.words[1]) if len(self.words) > 1 else 1
-        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * times}
+        request_count = int(self.words[1]) if len(self.words) > 1 else 1
+        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * request_count}

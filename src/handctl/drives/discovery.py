@@ -4,8 +4,8 @@ Each protocol has one ``ProtocolDiscovery``. A scan has four rounds. In round 0,
 listens. In round 1, the scan sends requests to all nodes at once. In round 2, the scan sends
 requests to every node number. In round 3, the scan requests details from discovered nodes. After
 each round of the scan, the nodes are computed from all received frames. The functions of a
-discovery module store no state. ``split_safe_requests`` leaves out each request that a drive of
-another protocol would obey as a command.
+``ProtocolDiscovery`` store no state between the rounds. ``split_safe_requests`` leaves out each
+request that a drive of another protocol would obey as a command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -66,8 +66,9 @@ def is_number_used_by_two_drives(
 ) -> bool:
     """Return True if the answers come from two drives with the same node number.
 
-    A bus can deliver one frame twice by mistake. If two different requests both have two answers,
-    two drives have answered.
+    A bus can deliver one frame twice by mistake. Two answers to a single request are therefore no
+    evidence of two drives. Two answers to each of two different requests are evidence of two
+    drives, as are two different serial numbers.
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register

@@ -100,7 +100,7 @@ class Frames(Sequence[Frame]):
         return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames as ``Frame`` objects. For speed, each column is converted as a whole."""
+        """Yield the frames as ``Frame`` objects. To save time, the method converts whole columns at once."""
         data = self.records["data"].tobytes()
         columns = [
             self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")

@@ -71,7 +71,7 @@ class ReadbackCursor(NamedTuple):
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
-        """Return the cursor at the next setting. The host has verified the present setting."""
+        """Return the cursor at the next setting. The caller must have verified the setting at the present cursor."""
         return ReadbackCursor(self.step + 1)
 
     def cursor_after_write(self) -> "ReadbackCursor":

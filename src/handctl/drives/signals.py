@@ -423,7 +423,7 @@ class SignalTable:
         )
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
-    def _payload_words(self, data: bytes) -> WordArray:
+    def _payload_words(self, payload: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
         Zeros are added at the end of a short payload.
@@ -431,7 +431,7 @@ class SignalTable:
         size = 8 * max(1, -(-self.message.length // 8))
         id_bytes = self.message.can_id.to_bytes(8, "little")
         return (
-            np.frombuffer(id_bytes + data.ljust(size, b"\0")[:size], np.uint64)
+            np.frombuffer(id_bytes + payload.ljust(size, b"\0")[:size], np.uint64)
             .reshape(1, -1)
             .copy()
         )

@@ -67,7 +67,7 @@ class RecheckedDrive(Protocol):
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return the settings of the repeated read-back."""
+        """Return the settings that the host reads back again and again while the drive is enabled."""
         ...
 
 

@@ -205,9 +205,10 @@ def _with_slack_readings(
 def _with_renewed_tare(
     model: HandModel, progress: ProgramProgress, duration_s: float
 ) -> ProgramProgress:
-    """Return a copy of the progress with new tares and an empty record.
+    """Return the progress of the program with new tares of the load cells, and without the recorded readings.
 
-    A load cell is tared again if its tendon was slack during most of the step ``tare``.
+    A load cell is tared again if its tendon was slack during most of the step ``tare``, and if the
+    absolute value of the new tare is at most ``MAX_TARE_CHANGE_N``.
 
     Args:
         model: model of the hand.

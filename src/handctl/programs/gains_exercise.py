@@ -67,7 +67,7 @@ GENTLE_RISE_DURATION_S = 1.3
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """Stage of the exercise. In each stage of the exercise, all moved digits do the same.
+    """Stage of the exercise. In a stage, all moved digits have the same target angle or the same target tension.
 
     Attributes:
         name: name of the phase in the log: `settle`, `turn`, `move`, `close` or `hold`. Only the

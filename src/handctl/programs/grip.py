@@ -140,7 +140,7 @@ def advance_grip(
         return grip, goals, events
     return (
         grip,
-        _goals_of_held_grip(model, grip, plan, goals, grip_excursions(model, estimate)),
+        _goals_with_grip_tensions(model, grip, plan, goals, grip_excursions(model, estimate)),
         events,
     )
 
@@ -169,10 +169,10 @@ def _raise_tension_after_slip(
     # its limit determines the largest possible factor.
     is_closing_side = model.redundancy.closing_sign > 0.0
     factor_limits = plan.limit[is_closing_side] / grip.tension[is_closing_side]
-    max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
-    if grip.tension_factor < max_factor:
+    max_tension_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
+    if grip.tension_factor < max_tension_factor:
         grip = grip._replace(
-            tension_factor=min(grip.tension_factor * TENSION_RAISE_FACTOR, max_factor)
+            tension_factor=min(grip.tension_factor * TENSION_RAISE_FACTOR, max_tension_factor)
         )
         return grip, (
             TickEvent("warn", "slip", digit, f"{slip_text}: force x {grip.tension_factor:.2f}"),
@@ -181,7 +181,7 @@ def _raise_tension_after_slip(
     return grip._replace(is_limit_reported=True), () if grip.is_limit_reported else (refusal_event,)
 
 
-def _goals_of_held_grip(
+def _goals_with_grip_tensions(
     model: HandModel,
     grip: GripState,
     plan: GripPlan,

@@ -47,8 +47,8 @@ from handctl.programs.task_program import TaskProgram
 def import_spline_functions() -> None:
     """Import the spline functions for the phase `follow` before a run.
 
-    The import takes 0.1 to 0.3 s. If the first phase `follow` of a client started the import, the
-    tick would be so late that a real-time run would end.
+    The import of ``scipy.interpolate`` takes 0.1 to 0.3 s. If the first phase `follow` of a client
+    started the import, the tick would be so late that a real-time run would end.
     """
     import scipy.interpolate  # noqa: F401
 

@@ -56,7 +56,7 @@ class RecordedGoals:
 
     @staticmethod
     def from_text(text: str, joints: int, tendons: int) -> "RecordedGoals":
-        """Read the text of a recording.
+        """Return the recorded goals that a text from ``to_text`` contains.
 
         Raises:
             ValueError: the text is not a table with the columns for the joints and tendons.

@@ -22,7 +22,7 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program during a run. Every program stores its state in these fields.
+    """State of a program during a run. All programs store their state in the fields of this class.
 
     The hash of the controller's state includes the progress of the program.
 
@@ -184,9 +184,9 @@ def tension_goal(
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     """Return the tensions (n_t,) [N] of digit d after a release.
 
-    In a digit with antagonistic tendons, the returned tensions balance each other. In any other
-    digit, each returned tension is the given tension. The net tension of a released spool pair is
-    zero.
+    In a digit with antagonistic tendons, the returned tensions balance each other. In a digit
+    without antagonistic tendons, each returned tension is the argument ``tension``. The net tension
+    of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance_tension[tendons]

@@ -4,7 +4,8 @@ Each request is one JSON object in a datagram. This module checks the JSON objec
 
 A request enters the tick as text, so that the same requests can be executed again from a log.
 Streamed targets are frequent and must reach the drives quickly. A target therefore arrives as a
-binary datagram, which is decoded before the target enters the tick. In the log, a target is text.
+binary datagram, which is decoded before the target enters the tick. The tick record in the log
+stores a target as text.
 """
 
 import json

@@ -208,17 +208,19 @@ More than one Newton step can be necessary, because the slope does not include g
 """
 
 
-def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
+def nearest_holdable_posture(
+    digit: DigitModel, coordinates: Vector, tension_floor: Vector
+) -> Vector:
     """Return the nearest coordinates [rad] at which taut tendons can balance springs and gravity.
 
     A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
-    joints, an inner tendon would have to push, and would become slack. The safety monitor would
-    report a fault because of the slack tendon.
+    joints, an inner tendon would have to push, and would become slack. For a slack tendon, the
+    safety monitor would report a fault.
 
     Args:
         digit: model of the digit.
         coordinates: (n_c,) coordinates of the target [rad].
-        floor: (n_t,) smallest allowed tensions [N].
+        tension_floor: (n_t,) smallest allowed tensions [N].
     """
     if not _is_held_by_each_tendon(digit):
         return coordinates
@@ -227,7 +229,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        tension_deficit = floor + TENSION_FLOOR_MARGIN_N - tension
+        tension_deficit = tension_floor + TENSION_FLOOR_MARGIN_N - tension
         is_tension_too_low = tension_deficit > 1e-6
         if not is_tension_too_low.any():
             break
@@ -262,8 +264,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
-    damping ratio stays the same. The motion loop is stable with the values in the gains. Stiffness
-    and damping never exceed the values in the gains.
+    damping ratio stays the same. The motion loop is stable with the stiffness and the damping in
+    the gains. The returned fractions are therefore at most 1.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -386,7 +388,7 @@ def stop_moving_digits(
 SHORTEST_BLEND_S = 0.05
 """Shortest time in which the speed of an earlier motion decreases to zero [s]."""
 _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
-"""Instants at which the positions of a move are checked, as fractions of its duration."""
+"""Instants at which the positions of a move are checked, as fractions of the move's fade-out time."""
 
 
 def blended_move(
@@ -396,9 +398,10 @@ def blended_move(
 
     The move begins with the position, rate and acceleration of the reference. The initial rate and
     acceleration fade out during the first part of the move. If a fast motion faded out slowly, the
-    joints would go far beyond the start and the end of the move. The function therefore starts with
-    a fade-out time that equals the duration of the move. The function then halves the fade-out time
-    until the joints stay within their range.
+    joints would go far beyond the start and the end of the move. The function first tries a
+    fade-out time that equals the duration of the move. The function halves the fade-out time of the
+    initial motion until the joints stay within ``coordinate_bounds``. The shortest fade-out time is
+    ``SHORTEST_BLEND_S``.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

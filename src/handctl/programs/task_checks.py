@@ -186,7 +186,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
     Raises:
         ConfigError: the joints of a digit cannot reach an angle of the task together.
     """
-    range_and_units = {
+    range_and_units_by_digit = {
         digit.name: (
             digit.coordinate_units.to_display_units(digit.coordinate_limits),
             digit.coordinate_units.names,
@@ -203,7 +203,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
                 hand.digit_named(digit.name),
                 f"{task_name}: {phase_key(i, phase)}.angle_deg",
             )
-        for name, ((low, high), names) in range_and_units.items():
+        for name, ((low, high), names) in range_and_units_by_digit.items():
             for row in _required_angles(phase, name):
                 for angle, lower, upper, unit in zip(
                     *np.broadcast_arrays(row, low, high), names, strict=True

@@ -124,9 +124,9 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for some time.
 
-        The program counts the ticks without a slack tendon. Each tick with a slack tendon reduces
-        this count by one. Tension noise therefore delays the start of the task, but the count does
-        not start again from 0.
+        The program has a counter. Each tick in which all tendons are taut increases the counter by
+        one. Each tick with a slack tendon decreases the counter by one. Tension noise therefore
+        delays the start of the task, but does not reset the counter to 0.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))

@@ -21,15 +21,15 @@ def parse_bus_arguments(bus_arguments: Sequence[str]) -> dict[str, str]:
     specs: dict[str, str] = {}
     for number, text in enumerate(bus_arguments):
         name_part, equals_sign, spec = text.partition("=")
-        is_named = bool(equals_sign) and ":" not in name_part
-        name = name_part if is_named else "main" if number == 0 else f"bus{number}"
+        has_bus_name = bool(equals_sign) and ":" not in name_part
+        name = name_part if has_bus_name else "main" if number == 0 else f"bus{number}"
         if name in specs or not NAME_PATTERN.fullmatch(name):
             raise ConfigError(
                 repr(text),
                 "--bus",
                 "SPEC, or NAME=SPEC with every name once, of letters, digits and _",
             )
-        specs[name] = spec if is_named else text
+        specs[name] = spec if has_bus_name else text
         check_bus_spec(specs[name])
     return specs
 

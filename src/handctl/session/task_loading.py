@@ -62,8 +62,8 @@ def scene_for_hand(name: str | None, hand: Hand) -> str:
 def task_path(name: Path) -> Path:
     """Return the path of a task file, given by path or packaged name.
 
-    Only a name without a folder, such as ``grasp`` or ``grasp.toml``, can mean a packaged task. If
-    a path has a folder and its file is missing, no packaged task of the same name is used.
+    Only a name without a folder, such as ``grasp`` or ``grasp.toml``, can mean a packaged task. A
+    path with a folder never means a packaged task, even if the file of the path is missing.
 
     Raises:
         ConfigError: the task does not exist.

@@ -130,7 +130,7 @@ def _draw_picture(
 
 
 def _delete_incomplete_file(path: Path, error: OSError, show_notice: NoticeCallback) -> None:
-    """Delete an incomplete output file next to the log, and tell the operator that the file is missing."""
+    """Delete an incomplete truth file or picture next to the log, and tell the operator that this file is missing."""
     with suppress(OSError):
         path.unlink()
     show_notice(f"handctl: {path} is left out: {error.strerror or error}")

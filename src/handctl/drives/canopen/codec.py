@@ -51,24 +51,24 @@ def abort_text(abort_code: int) -> str:
     return ABORT_TEXTS.get(abort_code, f"abort {abort_code:#010x}")
 
 
-def upload_request(index: int, subindex: int) -> bytes:
+def upload_request(index: int, sub_index: int) -> bytes:
     """Return the SDO payload to request the value of an object."""
     # 0x40 starts an upload from the node to the host.
-    return struct.pack("<BHB4x", 0x40, index, subindex)
+    return struct.pack("<BHB4x", 0x40, index, sub_index)
 
 
-def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
+def upload_reply(index: int, sub_index: int, value_bytes: bytes) -> bytes:
     """Return the payload of an SDO reply with the value of an object, one to four bytes."""
     # Specifier 0x43 marks an expedited value. Bits 2..3 of the specifier contain the number of
     # unused bytes.
-    return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
+    return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, sub_index, value_bytes)
 
 
-def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
+def download_request(index: int, sub_index: int, value_bytes: bytes) -> bytes:
     """Return the payload of an SDO request that writes one to four bytes to an object."""
     # Specifier 0x23 starts an expedited download. Bits 2..3 of the specifier contain the number of
     # unused bytes.
-    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
+    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, sub_index, value_bytes)
 
 
 class SdoReply(NamedTuple):

@@ -75,7 +75,7 @@ class SetupStep(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name of the object for messages to the operator."""
+        """Return the name of the CANopen object in messages to the operator: its index and sub-index."""
         return f"object {self.number:#06x}:{self.sub_index}"
 
 

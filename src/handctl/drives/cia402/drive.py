@@ -2,12 +2,12 @@
 
 The state machine configures, enables and disables a CiA 402 drive. In each tick the host sends one
 RPDO (control word, target torque), and the drive sends one TPDO (status word, position, torque).
-The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the host sends SYNC with the
-identifier 0x080 to a sensor node on the bus, this SYNC also requests the TPDO of the drive. On any
-other bus, the host sends SYNC after the command to the drive with the option ``sync``. If no drive
-on such a bus has the option ``sync``, handctl sets the option for the last CiA 402 drive on the bus
-(``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this host. Only a
-status word proves that the drive is enabled or disabled.
+The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If a sensor node on the bus
+also measures at SYNC 0x080, one SYNC requests the frames of the sensor node and the TPDO of the
+drive. On any other bus, the host sends SYNC after the command to the drive with the option
+``sync``. If no drive on such a bus has the option ``sync``, handctl sets the option for the last
+CiA 402 drive on the bus (``controller.run_setup``). The watchdog of the drive supervises the
+heartbeat of this host. Only a status word proves that the drive is enabled or disabled.
 """
 
 import math

@@ -118,12 +118,12 @@ _REPLY_STRUCT = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
 # Largest counts in the 16-bit field and in the 12-bit fields of a frame.
 MAX_POSITION_COUNT = 2**16 - 1
-MAX_COUNT = 2**12 - 1
+MAX_12_BIT_COUNT = 2**12 - 1
 KP_MAX = 500.0
 """Full scale of the gain kp in a command [N m/rad]."""
 KD_MAX = 5.0
 """Full scale of the gain kd in a command [N m s/rad]."""
-_ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
+_ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_12_BIT_COUNT // 2 << 36
 """Payload of a command in which position, velocity, and gains are 0.
 
 The motor multiplies position and velocity errors by the gains, so that gains of 0 cancel both.
@@ -168,8 +168,10 @@ def command_message(
     signals = (
         _signal_over_range("position", unused_signal, 7, 16, ranges.position, "rad"),
         _signal_over_range("velocity", unused_signal, 23, 12, ranges.velocity, "rad/s"),
-        Signal("kp", unused_signal, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", unused_signal, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
+        Signal("kp", unused_signal, 27, 12, True, scale=KP_MAX / MAX_12_BIT_COUNT, unit="N m/rad"),
+        Signal(
+            "kd", unused_signal, 47, 12, True, scale=KD_MAX / MAX_12_BIT_COUNT, unit="N m s/rad"
+        ),
         _signal_over_range(
             "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
         ),
@@ -216,8 +218,24 @@ def impedance_message(
         _signal_over_range(
             "velocity", SignalQuantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", direction
         ),
-        Signal("kp", SignalQuantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", SignalQuantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
+        Signal(
+            "kp",
+            SignalQuantity.STIFFNESS,
+            27,
+            12,
+            True,
+            scale=kp / MAX_12_BIT_COUNT,
+            unit="N m/rad",
+        ),
+        Signal(
+            "kd",
+            SignalQuantity.DAMPING,
+            47,
+            12,
+            True,
+            scale=kd / MAX_12_BIT_COUNT,
+            unit="N m s/rad",
+        ),
         _signal_over_range(
             "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
         ),

@@ -310,7 +310,7 @@ class MitDrive:
         return state._replace(protocol_state=progress._replace(cursor=cursor))
 
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
-        """Check a register of the enabled motor after the host has read the register again."""
+        """Check the value of a register that the host has read again while the motor is enabled."""
         register, value = self.rechecked_settings[state.recheck.step]
         is_equal = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"

@@ -61,7 +61,7 @@ REPLY_REQUESTED_BIT = 0x8000
 """Bit in the identifier of a request. If the bit is set, the drive sends a reply."""
 STANDARD_IDS = 0x800
 """Number of possible identifiers with 11 bits. Identifiers from this number on have 29 bits."""
-LAST_NODE = 0x7E
+LAST_NODE_ID = 0x7E
 """Largest node number of a drive. The number 0x7F addresses all drives."""
 BROADCAST = 0x7F
 """Node number that addresses a request to all drives."""

@@ -20,7 +20,7 @@ from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
-DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
+DRIVE_NUMBERS = range(1, codec.LAST_NODE_ID + 1)
 """Node numbers to which a scan sends requests."""
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
 """Payload of the scan request that reads the mode of a node. The reply of a moteus controller begins with 21 00."""

@@ -126,9 +126,9 @@ class MoteusDrive:
             ConfigError: an option is unknown or wrong, the node number exceeds 0x7e, or the gains
                 of the drive's position loop are missing.
         """
-        if not 0 < motor.node_id <= codec.LAST_NODE:
+        if not 0 < motor.node_id <= codec.LAST_NODE_ID:
             raise ConfigError(
-                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE_ID}"
             )
         refuse_unknown_options(motor.options, f"motor[{motor.name}].options", {})
         return MoteusDrive(
@@ -537,7 +537,8 @@ class MoteusDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state, and the stop command that clears the latched error.
 
-        After the clear command, the host reads back the settings again.
+        After a stop command that clears an error, the host reads back the settings of the drive
+        again.
         """
         fresh_state = state._replace(
             phase=SILENT,

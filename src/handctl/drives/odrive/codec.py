@@ -70,7 +70,7 @@ REQUESTABLE_MESSAGES = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPE
 """Numbers of messages that the host requests with a remote frame."""
 DRIVE_MESSAGES = REQUESTABLE_MESSAGES | {HEARTBEAT, TX_SDO}
 """Numbers of messages sent by the drive."""
-LAST_NODE = 0x3E
+LAST_NODE_ID = 0x3E
 """Largest node number of a drive. The number 0x3F addresses all nodes."""
 ENCODER_PERIOD_MS = 10
 """Period with which a drive with factory settings sends its position [ms]."""

@@ -276,8 +276,8 @@ def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
 def _ping_command(drive: DiscoveredNode) -> int:
     """Return the number of the message that ``ping_request`` requests from a drive.
 
-    A drive with firmware 0.6 can report its version. Firmware 0.5 has no message with the version,
-    so the scan requests the bus voltage and current instead.
+    An ODrive with firmware 0.6 answers a request for its version. An ODrive with firmware 0.5 has
+    no message with its version, so the scan requests the bus voltage and current instead.
     """
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 

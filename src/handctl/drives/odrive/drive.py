@@ -120,9 +120,9 @@ class OdriveDrive:
         """
         options = dict(motor.options)
         location = f"motor[{motor.name}].options"
-        if not 0 < motor.node_id <= codec.LAST_NODE:
+        if not 0 < motor.node_id <= codec.LAST_NODE_ID:
             raise ConfigError(
-                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE_ID}"
             )
         motor_options = pop_options(options, location)
         settings = endpoints.pop_settings(
@@ -342,7 +342,10 @@ class OdriveDrive:
         )
 
     def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the drive state after the message Address, with the node number and a serial number of 48 bits."""
+        """Return the drive state after the message Address.
+
+        The message contains the node number and the serial number (48 bits) of the drive.
+        """
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")

@@ -214,8 +214,8 @@ def _state_when_enable_failed(
 ) -> DriveState:
     """Return the drive state after a heartbeat that reports idle although an enable command was sent.
 
-    Such a heartbeat has three possible causes: the drive has refused the command, the command was
-    lost, or the drive has restarted.
+    A heartbeat that reports idle after an enable command has three possible causes: the drive has
+    refused the command, the command was lost, or the drive has restarted.
 
     Because the host has no other sign of a restart, it verifies and writes all settings again
     before the next enable command.

@@ -73,7 +73,7 @@ REQUEST_TYPES = (
 """Types of frames that have the number of the host in bits 15..8 of the identifier."""
 BROADCAST = 0xFE
 """Host number to which a motor sends the reply with its identity."""
-LAST_NODE = 0x7F
+LAST_NODE_ID = 0x7F
 """Largest motor number."""
 HOST_ID = 0xFD
 """Default host number of handctl."""

@@ -14,7 +14,7 @@ from handctl.drives.discovery import (
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.robstride import codec
 
-MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
+MOTOR_NUMBERS = range(1, codec.LAST_NODE_ID + 1)
 """Motor numbers to which a scan sends requests."""
 ALL_HOSTS = range(0x100)
 """Possible numbers of a host."""
@@ -94,7 +94,7 @@ def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
         if frame.can_id & EXTENDED_FLAG
         and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
         and (frame.can_id & ~EXTENDED_FLAG) >> 24 in HOST_REQUEST_TYPES
-        and 0 < frame.can_id & 0xFF <= codec.LAST_NODE
+        and 0 < frame.can_id & 0xFF <= codec.LAST_NODE_ID
         and len(frame.data) == 8
     )
 

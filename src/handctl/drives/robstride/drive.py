@@ -140,7 +140,7 @@ class RobstrideDrive:
             options.pop("host_id", codec.HOST_ID), f"{location}.options.host_id", codec.HOST_ID
         )
         refuse_unknown_options(options, f"{location}.options", OPTIONS)
-        if host <= codec.LAST_NODE:
+        if host <= codec.LAST_NODE_ID:
             raise ConfigError(
                 str(host), f"{location}.options.host_id", "128 to 253, no number of a motor"
             )

@@ -146,11 +146,13 @@ class RobstrideMitDrive(CubemarsDrive):
         options = dict(motor.options)
         location = f"motor[{motor.name}]"
         ranges = pop_motor_model(options, location, MOTOR_MODEL_RANGES)
-        if not 0 < motor.node_id <= codec.LAST_NODE:
-            raise ConfigError(str(motor.node_id), f"{location}.node_id", f"1 to {codec.LAST_NODE}")
+        if not 0 < motor.node_id <= codec.LAST_NODE_ID:
+            raise ConfigError(
+                str(motor.node_id), f"{location}.node_id", f"1 to {codec.LAST_NODE_ID}"
+            )
         host = options.pop("host_id", motor.node_id + HOST_ID_OFFSET)
         if host != FACTORY_HOST_ID:
-            host = checked_whole_number(host, f"{location}.options.host_id", codec.LAST_NODE)
+            host = checked_whole_number(host, f"{location}.options.host_id", codec.LAST_NODE_ID)
         refuse_unknown_options(options, f"{location}.options", OPTIONS)
         if host == motor.node_id:
             raise ConfigError(

@@ -83,10 +83,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return no frames of other hosts.
-
-    The discovery of CANopen drives already reports the SYNC of another host.
-    """
+    """Return an empty tuple, because the discovery of CANopen drives already reports the SYNC of another host."""
     return ()
 
 
