@@ -90,7 +90,7 @@ class TMotorClient:
 
     The class calls the functions that the notifier thread of TMotorCANControl would call.
     TMotorCANControl supports only the interface can0. By default, TMotorCANControl also runs the
-    command ``sudo ip link set can0``. This class does not run the command.
+    command ``sudo ip link set can0``, but ``TMotorClient`` does not.
     """
 
     def __init__(self, interface, channel, motor_count):

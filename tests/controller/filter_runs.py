@@ -246,8 +246,8 @@ def state_after_first_readings(
 ) -> FilterState:
     """Return the filter state after the first readings of the motor encoders.
 
-    ``travel`` [m] contains the readings of the motor encoders. If ``with_load_cells`` is True, all
-    load cells have replied, too.
+    ``travel`` [m] contains the readings of the motor encoders. If ``with_load_cells`` is True, the
+    readings of all load cells have arrived in the same tick.
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT

@@ -83,7 +83,10 @@ class SyntheticEstimate(NamedTuple):
     def largest_grip_opening(
         self, closing_sign: np.ndarray, held_tension: np.ndarray
     ) -> tuple[int, float]:
-        """Find the tendon along which a holding digit has opened furthest, and return its index and the opening [m]."""
+        """Return the index and the grip opening [m] of the tendon whose grip has opened furthest.
+
+        Tendons that hold no tension are left out.
+        """
         openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
         worst_tendon = int(openings.argmax())
         return worst_tendon, float(openings[worst_tendon])

@@ -288,10 +288,11 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S.
+    """Test two formulas of the page about the paper: tau = S^T T for torques, M_q = S^T M_theta S for mass matrices.
 
-    The torques tau and the mass matrix M_q belong to relative joint angles. The torques T and the
-    mass matrix M_theta belong to absolute angles. S is the lower triangular matrix of ones.
+    In relative joint angles, the torques are tau and the mass matrix is M_q. In absolute link
+    angles, the torques are T and the mass matrix is M_theta. S is the lower triangular matrix of
+    ones.
     """
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)

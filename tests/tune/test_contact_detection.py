@@ -138,8 +138,8 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are those of two sweeps of a digit, and consist of noise and a ramp. The ramp begins at
-    the angle ``kink_start``, and has the slope ``kink_size``.
+    The generated data stand for two sweeps of a digit, and are the sum of noise and a ramp. The
+    ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

@@ -112,7 +112,7 @@ class TrackEnv(HandEnv):
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step, False, and the tracking error.
+        """Return the reward of a step, False, and a dictionary that contains the tracking error.
 
         The reward depends on the true tracking error. The second result is False, because the
         environment has neither a success nor a failure.
@@ -135,7 +135,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the unit of each reference. A reference belongs to a digit or to a coordinate of joints."""
+        """Return the display unit of each reference, which belongs to a digit or to a coordinate of joints."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(

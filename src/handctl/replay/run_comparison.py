@@ -128,9 +128,9 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
     ):
         return float("nan")
     variance_before, min_residual, variance_after = residual[best - 1 : best + 2]
-    # The variable `bend` is the second difference of the variance with respect to the shift. If
-    # `bend` is not positive, the minimum of the variance is flat, and the best time shift is not
-    # refined.
+    # The variable `curvature` is the second difference of the variance with respect to the shift.
+    # If `curvature` is not positive, the minimum of the variance is flat, and the best time shift
+    # is not refined.
     curvature = variance_before - 2.0 * min_residual + variance_after
     return float(
         (

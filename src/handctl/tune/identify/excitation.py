@@ -145,7 +145,7 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return the steps for a digit.
+    """Return the excitation steps of a digit.
 
     The steps are a tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle.
     """

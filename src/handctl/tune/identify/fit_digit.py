@@ -268,8 +268,8 @@ def fits_with_digit_solution(
 ) -> list[TendonFit]:
     """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
-    The fit of each tendon gets the capstan coefficient of this tendon. The fit of the first tendon
-    also gets the factors that all tendons share.
+    The fit of each tendon gets the capstan coefficient of this tendon. The factors that all tendons
+    of the digit share are added only to the fit of the first tendon.
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]

@@ -7,9 +7,10 @@
 F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
 the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
 of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
-the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
-if F exceeds twice the pretension p. At a tension called the knee, the stiffness of a tendon
-changes. Beyond the knee, the stiffness in the hand file is multiplied by the same factor as k.
+the stretch at a net tension F. Each tendon has the stiffness k. While both tendons are taut, the
+stiffness of the pair is 2 k. If F exceeds twice the pretension p, one tendon is slack, and the
+stiffness of the pair is k. At a tension called the knee, the stiffness of a tendon changes. Beyond
+the knee, the stiffness in the hand file is multiplied by the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
