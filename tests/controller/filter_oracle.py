@@ -87,9 +87,9 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     spool speed also acts on the digit.
     """
     space, gains = model.tendon_constants, model.gains.filter
-    disturbance, lasts, shaking = unknown_motor_force(model, regime)
+    disturbance, time_constant_s, force_noise = unknown_motor_force(model, regime)
     spool = np.zeros(STATE_COUNT)
-    spool[V] = shaking / space.motor_mass[tendon_index]
+    spool[V] = force_noise / space.motor_mass[tendon_index]
     digit = np.zeros(STATE_COUNT)
     if regime == TendonRegime.FREE:
         spool[W] = spool[V]
@@ -102,7 +102,7 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     sources = [
         spool,
         digit,
-        unit[D] * disturbance * np.sqrt(2 / lasts),
+        unit[D] * disturbance * np.sqrt(2 / time_constant_s),
         unit[E] * gains.cell_drift_N / np.sqrt(gains.cell_drift_time_s),
         unit[O] * gains.offset_m * np.sqrt(2 / gains.offset_time_s),
     ]

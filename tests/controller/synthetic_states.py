@@ -4,8 +4,8 @@ Tests use the generated estimates instead of results of the tension filter.
 
 ``ControllerState`` is the complete state of a controller between two ticks. ``SyntheticEstimate``
 and ``SensorReadings`` are the parts of a controller's state that a test generates.
-``state_with_estimate`` writes an estimate into a controller's state, and ``estimate_of`` reads the
-estimate from a controller's state.
+``state_with_estimate`` writes an estimate into a controller's state, and ``estimate_from_state``
+reads the estimate from a controller's state.
 """
 
 import functools
@@ -166,7 +166,7 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
     return state
 
 
-def estimate_of(state: ControllerState) -> SyntheticEstimate:
+def estimate_from_state(state: ControllerState) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
     estimate = state.estimate
     estimate_values = {

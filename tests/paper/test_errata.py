@@ -36,8 +36,10 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
     kinetic_energies, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
     for k, angle in enumerate(ANGLE_FUNCTIONS):
         cx, cy = x + d[k] * sp.cos(angle), y + d[k] * sp.sin(angle)
-        speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
-        kinetic_energies.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2)
+        squared_speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
+        kinetic_energies.append(
+            m[k] * squared_speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2
+        )
         potential += m[k] * PARAMETER_SYMBOLS[-1] * cy
         x, y = x + length[k] * sp.cos(angle), y + length[k] * sp.sin(angle)
     return kinetic_energies, potential
@@ -257,10 +259,12 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
     In this formula, x is the distance of each centre of mass from joint 1.
     """
     digit = motion.upright_digit("index")
-    base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
-    held_torque = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
+    joint_distances = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
+    expected_torque = 9.81 * float(
+        np.array(digit.masses) @ (joint_distances + digit.centres_of_mass[:, 0])
+    )
     item_by_id = {item.id: item for item in sections.page_errata(None)}
-    assert item_by_id["eq10.static"].computed == pytest.approx(held_torque, rel=1e-9)
+    assert item_by_id["eq10.static"].computed == pytest.approx(expected_torque, rel=1e-9)
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:

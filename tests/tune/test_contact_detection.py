@@ -145,8 +145,10 @@ def unexplained_ramp_of_line(
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
     residuals = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
-    fitted = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
-    return steepest_ramp(jacobian, residuals + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
+    line_parameters = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
+    return steepest_ramp(
+        jacobian, residuals + jacobian @ line_parameters, 0, angle, (np.ones(ROW_COUNT),)
+    )
 
 
 def test_noise_without_contact_has_no_kink() -> None:

@@ -399,11 +399,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             change, -self._largest_step_deg, self._largest_step_deg
         )
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
-        number = self._target_number
+        target_number = self._target_number
         self._target_number += 1
         return StreamTarget(
             STREAM_NAME,
-            number,
+            target_number,
             self.simulated_run.k * self.simulated_run.period_ns,
             tuple([angles[name] for name in self._last_streamed_names]),
         )

@@ -95,10 +95,10 @@ class TrackEnv(HandEnv):
             axis=0
         )
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
-        blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        blend_fraction = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = (
-            self._reference_units.to_display_units(self._start) * (1.0 - blend)
-            + sine_reference * blend
+            self._reference_units.to_display_units(self._start) * (1.0 - blend_fraction)
+            + sine_reference * blend_fraction
         )
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 

@@ -291,17 +291,17 @@ def _stretch_readings(
         has_reading, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0
     )
     weight = weights.mean * has_reading[window_rows]
-    total = np.maximum(weight.sum(axis=1), 1e-12)
-    travel = (data.travel[window_rows] * weight).sum(axis=1) / total
+    weight_sum = np.maximum(weight.sum(axis=1), 1e-12)
+    travel = (data.travel[window_rows] * weight).sum(axis=1) / weight_sum
     count = has_reading[window_rows].sum(axis=1)
     is_on_stop = data.stop[window_rows].all(axis=1)
     travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
     known_stretch = np.where(
-        count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
+        count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / weight_sum, np.nan
     )
     # The number of readings is an effective number, because the window gives different weights to
     # the readings.
-    return travel, known_stretch, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
+    return travel, known_stretch, weight_sum**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:

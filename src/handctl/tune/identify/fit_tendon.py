@@ -339,9 +339,9 @@ class TendonFit:
 
         Each half width has the unit of its parameter.
         """
-        return self.half_widths_of(1)
+        return self.simultaneous_half_widths(1)
 
-    def half_widths_of(self, parameter_count: int) -> dict[str, float]:
+    def simultaneous_half_widths(self, parameter_count: int) -> dict[str, float]:
         """Return half of the width of each parameter's simultaneous confidence interval.
 
         With a probability of 95 %, all of `parameter_count` parameters are in their intervals at

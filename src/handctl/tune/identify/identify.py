@@ -162,7 +162,9 @@ class TendonResult:
         values = self.fit.parameter_values
         half_widths = self.fit.half_widths
         nominal = self.fit.problem.parameter_scales
-        simultaneous_half_widths = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
+        simultaneous_half_widths = self.fit.simultaneous_half_widths(
+            max(1, len(self.identifiability.names))
+        )
         rows = {
             name: {
                 "value": values[name],
@@ -467,7 +469,7 @@ def _parameter_summary_lines(result: TendonResult) -> list[str]:
     """Return lines about all parameters of a tendon together: simultaneous intervals, combinations, correlations."""
     names = result.identified_names
     half_widths = result.fit.half_widths
-    simultaneous_half_widths = result.fit.half_widths_of(max(1, len(names)))
+    simultaneous_half_widths = result.fit.simultaneous_half_widths(max(1, len(names)))
     width_ratios = [simultaneous_half_widths[name] / half_widths[name] for name in names]
     lines = []
     if width_ratios:
