@@ -195,12 +195,12 @@ class StaticTendonForces(NamedTuple):
 @kernel("block", "layout", "constants", "layout")
 def _tendon_load_forces(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
 ) -> np.ndarray:
     return kalman._resistance_and_pull_forces(
-        state_tables(block, state_places), constant_tables(constants, constant_places)
+        state_tables(block, state_offsets), constant_tables(constants, constant_offsets)
     )
 
 
@@ -229,11 +229,11 @@ def static_tendon_forces(
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    constants: BlockArray, constant_places: TableOffsets, q: np.ndarray, tendon_count: int
+    constants: BlockArray, constant_offsets: TableOffsets, q: np.ndarray, tendon_count: int
 ) -> np.ndarray:
     result = np.empty(tendon_count)
     for n in range(tendon_count):
-        result[n] = winding_efficiency(constant_tables(constants, constant_places), n, q)
+        result[n] = winding_efficiency(constant_tables(constants, constant_offsets), n, q)
     return result
 
 

@@ -151,14 +151,14 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
     telemetry_values = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
-    places, first_element = TelemetrySlices(), 0
+    telemetry_slices, first_element = TelemetrySlices(), 0
     for name, size in (
         ("q", len(hand.joints)), ("q_goal", len(hand.joints)), ("contact", len(hand.digit)),
         ("tension", len(hand.tendon)),
     ):  # fmt: skip
-        places[name] = slice(first_element, first_element + size)
+        telemetry_slices[name] = slice(first_element, first_element + size)
         first_element += size
-    telemetry = PackedTelemetry(telemetry_values, places)
+    telemetry = PackedTelemetry(telemetry_values, telemetry_slices)
     telemetry.q_goal[joint_index] = lag_rad_or_m
     out = TickOut((), HandMode.ACTIVE, "move", SafetyAction.PASS, telemetry, (), bytes(8))
     assert observer._violated_limit(out, 0.0) == expected_reason
