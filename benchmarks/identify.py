@@ -228,7 +228,9 @@ def compare_parameter(
     error = result.fit.parameter_values[parameter_name] / true_value - 1.0
     width = result.fit.half_widths[parameter_name] / true_value
     joint_half_width = (
-        result.fit.half_widths_of(max(1, len(result.identifiability.names)))[parameter_name]
+        result.fit.simultaneous_half_widths(max(1, len(result.identifiability.names)))[
+            parameter_name
+        ]
         / true_value
     )
     return {

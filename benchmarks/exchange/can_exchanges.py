@@ -10,7 +10,7 @@ from pathlib import Path
 TORQUE_RANGE_N_M = 0.8
 POSITION_RANGE_RAD = 12.5
 VELOCITY_RANGE_RAD_S = 50.0
-FEEDBACK_PAYLOAD_END = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
+FEEDBACK_BYTES_1_TO_7 = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
 MIT_DBC_TEXT = """VERSION ""
 NS_ :
 BS_:
@@ -37,7 +37,7 @@ def feedback_frame(motor_index: int) -> tuple[int, bytes, int]:
 
     The CAN identifier of the feedback frame is the value of the register MST_ID of the motor.
     """
-    return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_PAYLOAD_END, 0
+    return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_BYTES_1_TO_7, 0
 
 
 RATE_HZ = 200.0
@@ -74,7 +74,7 @@ class HandctlExchange:
     The codec also updates the state of each drive, because the controller does so in every tick.
     """
 
-    reply_of = staticmethod(feedback_frame)
+    reply_frame = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motor_count):
         import numpy as np
@@ -105,8 +105,8 @@ class HandctlExchange:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        places = self.controller.derived_constants.layout.offsets
-        self.begin_tick(state.block, places, state.k, self.t_ns, 0, 0, len(frames))
+        state_offsets = self.controller.derived_constants.layout.offsets
+        self.begin_tick(state.block, state_offsets, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive_frames(state, frames, 0)
         return frames
 
@@ -120,7 +120,7 @@ class HandwrittenCodecExchange:
     The class sends and receives one message at a time.
     """
 
-    reply_of = staticmethod(feedback_frame)
+    reply_frame = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motor_count):
         import can

@@ -24,7 +24,7 @@ class DamiaoClient:
     Instead of the polling thread, the method `receive` polls the bus.
     """
 
-    reply_of = staticmethod(feedback_frame)
+    reply_frame = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motor_count):
         from damiao_motor import DaMiaoController
@@ -69,7 +69,7 @@ class OdriveClient:
         self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motor_count)]
 
     @staticmethod
-    def reply_of(motor_index):
+    def reply_frame(motor_index):
         return (motor_index - 1) << 5 | 0x09, struct.pack("<ff", 1.5, 0.1), 0
 
     def send(self, torques):
@@ -90,7 +90,7 @@ class TMotorClient:
 
     The class calls the functions that the notifier thread of TMotorCANControl would call.
     TMotorCANControl supports only the interface can0. By default, TMotorCANControl also runs the
-    command ``sudo ip link set can0``. This class does not run the command.
+    command ``sudo ip link set can0``, but ``TMotorClient`` does not.
     """
 
     def __init__(self, interface, channel, motor_count):
@@ -115,7 +115,7 @@ class TMotorClient:
             motor.set_current_gains()
 
     @staticmethod
-    def reply_of(motor_index):
+    def reply_frame(motor_index):
         return motor_index, bytes((motor_index, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 0)), 0
 
     def send(self, torques):
@@ -156,11 +156,11 @@ class MoteusClient:
         self.nan = float("nan")
 
     @staticmethod
-    def reply_of(motor_index):
+    def reply_frame(motor_index):
         motion = b"\x2f\x01" + struct.pack("<fff", 0.1, 0.2, 0.3)
         data = b"\x21\x00\x0a" + motion + b"\x23\x0d\x30\x20\x00"
-        extended = 0x80000000 if motor_index << 8 > 0x7FF else 0
-        return motor_index << 8 | extended, data + b"\x50" * (24 - len(data)), 4 | 1
+        extended_id_flag = 0x80000000 if motor_index << 8 > 0x7FF else 0
+        return motor_index << 8 | extended_id_flag, data + b"\x50" * (24 - len(data)), 4 | 1
 
     async def _exchange_once(self, torques):
         commands = [

@@ -31,13 +31,13 @@ class LocalMotors:
         self.listener.listen()
         self.link = None
 
-    def send_replies(self, motor_count: int, reply_of: ReplyFunction) -> None:
+    def send_replies(self, motor_count: int, reply_function: ReplyFunction) -> None:
         if self.link is None:
             self.link, _ = self.listener.accept()
         size = 0
         while size < motor_count * FRAME_RECORD_STRUCT.size:
             size += len(self.link.recv(1 << 16))
-        answer_frames = [reply_of(i + 1) for i in range(motor_count)]
+        answer_frames = [reply_function(i + 1) for i in range(motor_count)]
         self.link.sendall(
             b"".join(
                 FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
@@ -61,11 +61,11 @@ class VcanMotors:
         self.link.bind((bus_name,))
         self.link.settimeout(5.0)
 
-    def send_replies(self, motor_count: int, reply_of: ReplyFunction) -> None:
+    def send_replies(self, motor_count: int, reply_function: ReplyFunction) -> None:
         for _ in range(motor_count):
             self.link.recv(FD_FRAME_STRUCT.size)
         for i in range(motor_count):
-            can_id, data, flags = reply_of(i + 1)
+            can_id, data, flags = reply_function(i + 1)
             fd = (
                 FD_FRAME_STRUCT.pack(can_id, len(data), flags, data) if flags & CAN_FD_FLAG else b""
             )

@@ -113,7 +113,7 @@ class LockstepBuses:
         return bool(frames)
 
     def _queue_node_frame(self, frame: Frame) -> None:
-        """Put a frame that a node sends into the send queue of the frame's CAN controller.
+        """Queue a frame of a node for sending, in the CAN controller for the identifier of the frame.
 
         Each frame identifier has its own CAN controller. The frames of different nodes therefore do
         not wait for each other in one queue.

@@ -44,9 +44,9 @@ class TimedPort:
 
     Each call of a method processes the events since the last call, in the order in which the events
     occur on the wire. A call of ``receive`` returns only frames that end at the same time on the
-    wire. The nodes must answer the returned frames before the wire carries the next frame. The
-    caller calls ``receive`` until the result is empty. The nodes have one CAN controller for each
-    identifier that they send.
+    wire. The nodes must answer the frames from ``receive`` before the wire carries the next frame.
+    The caller calls ``receive`` until the result is empty. The nodes have one CAN controller for
+    each identifier that they send.
 
     Attributes:
         wire: the simulated wire.
@@ -103,8 +103,8 @@ class TimedPort:
     def lost_frame_count(self) -> int:
         """Return the number of frames that were lost on the bus of this port.
 
-        The number includes frames that were dropped for slow clients, frames that were refused by
-        full queues of nodes, and invalid records.
+        A lost frame is a frame that was dropped for a slow client, a frame that the full queue of a
+        node refused, or an invalid record.
         """
         return self._hub.dropped_record_count + self._unreadable + self._refused
 
@@ -233,7 +233,7 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer can start at the time when the last received frame ended. See
+        The wire can carry an answer from the time on when the last received frame ended. See
         ``bus_ports.BusPort.send``.
         """
         for frame in frames:

@@ -141,8 +141,8 @@ def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
     old_object = scene.grasp_object
     height = diameter if old_object.shape == "sphere" else old_object.size[2]
     # The front face of the palm lies in the plane x = 0.
-    gap = old_object.position[0] - old_object.size[0] / 2.0
-    position = (diameter / 2.0 + gap, old_object.position[1], old_object.position[2])
+    palm_gap = old_object.position[0] - old_object.size[0] / 2.0
+    position = (diameter / 2.0 + palm_gap, old_object.position[1], old_object.position[2])
     return replace(
         scene,
         name=text,

@@ -167,8 +167,9 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the two vectors are opposite, the result does not turn. The sign of the result changes
-    halfway.
+    If the two vectors are opposite, the result has the direction of ``start`` as long as the
+    straight line to ``end`` has not passed zero. After zero, the result has the direction of
+    ``end``.
 
     Args:
         start: vector at fraction 0.

@@ -75,14 +75,14 @@ class SupportTable:
         """
         self._support = support
         start_indices = list(indices) or list(range(0, 3 * len(opposed), 3))
-        sides = [int(side) for side in opposed]
+        opposed_flags = [int(side) for side in opposed]
         self._grasped: Callable[..., bool] = (
             kernels.is_object_grasped if kernels else is_object_grasped
         )
         self._digits = (
-            (np.array(start_indices, np.int64), np.array(sides, np.int64))
+            (np.array(start_indices, np.int64), np.array(opposed_flags, np.int64))
             if kernels
-            else (start_indices, sides)
+            else (start_indices, opposed_flags)
         )
         # If the hand has fewer digits than required, all digits of the hand must hold the object.
         digits = min(support.drop_digits, len(opposed))

@@ -38,7 +38,7 @@ def jamia11() -> HandModel:
 def model(request: pytest.FixtureRequest) -> HandModel:
     """Return the model of one of the two packaged Jamia hands.
 
-    A test that uses this fixture runs once with each of the two hands.
+    A test that uses this fixture runs twice: once with jamia, and once with jamia11.
     """
     parametrised_model: HandModel = request.getfixturevalue(request.param)
     return parametrised_model

@@ -222,18 +222,20 @@ class ControllerBench:
             requests,
         )
         state_before = self.state
-        self.state, out = self.controller.tick(state_before, entry)
-        self.tick_history.append((state_before, entry, out))
-        self.frames_on_bus = self.toy_hand.step(t_ns, self.modify_frames_to_nodes(list(out.frames)))
+        self.state, tick_output = self.controller.tick(state_before, entry)
+        self.tick_history.append((state_before, entry, tick_output))
+        self.frames_on_bus = self.toy_hand.step(
+            t_ns, self.modify_frames_to_nodes(list(tick_output.frames))
+        )
         self.k += 1
-        return out
+        return tick_output
 
     def run_until_mode(self, mode: HandMode, timeout_s: float = 12.0) -> TickOut:
         """Run ticks until the controller enters a mode."""
         for _ in range(round(timeout_s / self.controller.model.period)):
-            out = self.tick()
-            if out.mode == mode:
-                return out
+            tick_output = self.tick()
+            if tick_output.mode == mode:
+                return tick_output
         raise AssertionError(
             f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}"
         )
@@ -241,22 +243,22 @@ class ControllerBench:
     def run(self, duration_s: float) -> TickOut:
         """Run ticks of the controller for a given duration."""
         for _ in range(round(duration_s / self.controller.model.period)):
-            out = self.tick()
-        return out
+            tick_output = self.tick()
+        return tick_output
 
     @property
     def mode_history(self) -> list[HandMode]:
         """Return all modes that the controller has had so far, in their order."""
         modes: list[HandMode] = []
-        for _, _, out in self.tick_history:
-            if not modes or modes[-1] != out.mode:
-                modes.append(out.mode)
+        for _, _, tick_output in self.tick_history:
+            if not modes or modes[-1] != tick_output.mode:
+                modes.append(tick_output.mode)
         return modes
 
     @property
     def events(self) -> list[TickEvent]:
         """Return all events that the controller has emitted so far."""
-        return [event for _, _, out in self.tick_history for event in out.events]
+        return [event for _, _, tick_output in self.tick_history for event in tick_output.events]
 
 
 def make_controller_bench(

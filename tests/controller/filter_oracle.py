@@ -53,8 +53,9 @@ def rates_of_change(
 def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, float, float]:
     """Return three parameters of the unknown force on a motor.
 
-    The parameters are the standard deviation [N] and the time constant [s] of the slow force, and
-    the white force noise [N].
+    The unknown force is the sum of a Gauss-Markov force and white noise. The parameters are the
+    standard deviation [N] and the time constant [s] of the Gauss-Markov force, and the white force
+    noise [N].
     """
     kind = "held" if regime == TendonRegime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
@@ -81,13 +82,14 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
-    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows
-    the spool of its tendon, so the noise of the spool speed also acts on the digit.
+    sigma^2 / tau. The density of a random walk with standard deviation sigma after the time tau is
+    sigma^2 / tau. A digit without contact follows the spool of its tendon, so the noise of the
+    spool speed also acts on the digit.
     """
     space, gains = model.tendon_constants, model.gains.filter
-    disturbance, lasts, shaking = unknown_motor_force(model, regime)
+    disturbance, time_constant_s, force_noise = unknown_motor_force(model, regime)
     spool = np.zeros(STATE_COUNT)
-    spool[V] = shaking / space.motor_mass[tendon_index]
+    spool[V] = force_noise / space.motor_mass[tendon_index]
     digit = np.zeros(STATE_COUNT)
     if regime == TendonRegime.FREE:
         spool[W] = spool[V]
@@ -100,7 +102,7 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     sources = [
         spool,
         digit,
-        unit[D] * disturbance * np.sqrt(2 / lasts),
+        unit[D] * disturbance * np.sqrt(2 / time_constant_s),
         unit[E] * gains.cell_drift_N / np.sqrt(gains.cell_drift_time_s),
         unit[O] * gains.offset_m * np.sqrt(2 / gains.offset_time_s),
     ]

@@ -21,7 +21,7 @@ from tests.controller.synthetic_states import (
     active_state,
     constant_args_of,
     empty_readings,
-    estimate_of,
+    estimate_from_state,
 )
 
 
@@ -188,7 +188,7 @@ def run_filter_tick(
     tick_stages.conclude_estimate(
         controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
-    return filter_state_of(controller_state), estimate_of(controller_state)
+    return filter_state_of(controller_state), estimate_from_state(controller_state)
 
 
 def state_at_rest(
@@ -246,8 +246,8 @@ def state_after_first_readings(
 ) -> FilterState:
     """Return the filter state after the first readings of the motor encoders.
 
-    ``travel`` [m] contains the readings of the motor encoders. If ``with_load_cells`` is True, all
-    load cells have replied, too.
+    ``travel`` [m] contains the readings of the motor encoders. If ``with_load_cells`` is True, the
+    readings of all load cells have arrived in the same tick.
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT

@@ -4,8 +4,8 @@ Tests use the generated estimates instead of results of the tension filter.
 
 ``ControllerState`` is the complete state of a controller between two ticks. ``SyntheticEstimate``
 and ``SensorReadings`` are the parts of a controller's state that a test generates.
-``state_with_estimate`` writes an estimate into a controller's state, and ``estimate_of`` reads the
-estimate from a controller's state.
+``state_with_estimate`` writes an estimate into a controller's state, and ``estimate_from_state``
+reads the estimate from a controller's state.
 """
 
 import functools
@@ -83,7 +83,10 @@ class SyntheticEstimate(NamedTuple):
     def largest_grip_opening(
         self, closing_sign: np.ndarray, held_tension: np.ndarray
     ) -> tuple[int, float]:
-        """Find the tendon along which a holding digit has opened furthest, and return its index and the opening [m]."""
+        """Return the index and the grip opening [m] of the tendon whose grip has opened furthest.
+
+        Tendons that hold no tension are left out.
+        """
         openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
         worst_tendon = int(openings.argmax())
         return worst_tendon, float(openings[worst_tendon])
@@ -163,7 +166,7 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
     return state
 
 
-def estimate_of(state: ControllerState) -> SyntheticEstimate:
+def estimate_from_state(state: ControllerState) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
     estimate = state.estimate
     estimate_values = {
@@ -192,12 +195,12 @@ class StaticTendonForces(NamedTuple):
 @kernel("block", "layout", "constants", "layout")
 def _tendon_load_forces(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
 ) -> np.ndarray:
     return kalman._resistance_and_pull_forces(
-        state_tables(block, state_places), constant_tables(constants, constant_places)
+        state_tables(block, state_offsets), constant_tables(constants, constant_offsets)
     )
 
 
@@ -226,11 +229,11 @@ def static_tendon_forces(
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    constants: BlockArray, constant_places: TableOffsets, q: np.ndarray, tendon_count: int
+    constants: BlockArray, constant_offsets: TableOffsets, q: np.ndarray, tendon_count: int
 ) -> np.ndarray:
     result = np.empty(tendon_count)
     for n in range(tendon_count):
-        result[n] = winding_efficiency(constant_tables(constants, constant_places), n, q)
+        result[n] = winding_efficiency(constant_tables(constants, constant_offsets), n, q)
     return result
 
 

@@ -255,8 +255,8 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
     """In this test, the tension of a tendon falls slowly, at 2 N/s, after the pull of this tendon.
 
-    Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
-    During the pull of the next tendon, the load cell of the first tendon reads 0 N.
+    Just before another tendon is pulled, the load cell of the first tendon still reads 1.4 N. While
+    the other tendon is pulled, the load cell of the first tendon reads 0 N.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 

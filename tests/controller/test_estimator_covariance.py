@@ -379,7 +379,8 @@ def test_covariance_grows_over_skipped_ticks(
 ) -> None:
     """In missed ticks, the covariance of the filter grows.
 
-    The covariance stops growing after the time for which the motors hold the last command.
+    The filter predicts the covariance at most over the time for which the motors hold the last
+    command. During longer gaps, the covariance therefore stops growing.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)

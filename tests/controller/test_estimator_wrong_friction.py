@@ -125,15 +125,15 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
 def _judge_innovations(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
     kalman._update_consistency(
-        state_tables(block, state_places),
-        constant_tables(constants, constant_places),
+        state_tables(block, state_offsets),
+        constant_tables(constants, constant_offsets),
         innovation,
         information,
         True,

@@ -214,8 +214,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 ) -> None:
     """The controller limits the torque commands with old and with new gains in the same way.
 
-    If only one of the two commands were limited, their difference would become a trim force that
-    makes the tendon slack.
+    If the controller limited the commands with only the old or only the new gains, the difference
+    of the commands would become a trim force. The trim force would make the tendon slack.
     """
     bench = noiseless_hand(jamia)
     bench.tick(MOVE_REQUEST)

@@ -298,9 +298,11 @@ def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Synthet
         assert np.isnan(angles[joints:]).all()
     assert law.friction_state is not None
     assert np.isnan(law.friction_state[tendons:]).all()
-    held_torque = (
+    expected_joint_torque = (
         np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint)
         @ model.hand.moment_arms
     )
-    np.testing.assert_allclose(command.joint_torque[joints:], held_torque[joints:], rtol=1e-12)
+    np.testing.assert_allclose(
+        command.joint_torque[joints:], expected_joint_torque[joints:], rtol=1e-12
+    )
     assert goals[2].kind == GoalKind.TENSION

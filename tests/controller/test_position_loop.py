@@ -520,8 +520,8 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
 ) -> None:
     """A moteus command contains fractions of the drive's gains kp and kd. Both fractions are limited to 1.
 
-    If a moteus drive makes less torque than commanded, the controller would need fractions above 1
-    to correct the torque.
+    Without this limit, the controller would use fractions above 1 for a moteus drive that makes
+    less torque than commanded.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))

@@ -55,8 +55,8 @@ def test_the_load_of_each_digit_is_limited_separately(
 ) -> None:
     """In this test, the required tensions reach a bound in some digits, and stay within the bounds in other digits.
 
-    If the required tension of one digit reaches the bound, the tensions of other digits do not
-    change.
+    A required tension that reaches a bound in one digit does not change the required tensions of
+    other digits.
     """
     model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

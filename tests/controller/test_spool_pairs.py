@@ -229,7 +229,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     """When a joint rests at its mechanical stop, the net tension of the spool pair reaches the commanded net tension.
 
     The controller limits the commanded net tension to the tension limit of the hand minus a margin.
-    The margin allows for the standard deviation of the estimated tension.
+    The margin is a multiple of the standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N

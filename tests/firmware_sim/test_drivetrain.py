@@ -187,38 +187,38 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
 def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
     """The truth file has a row for every millisecond, even if a fault is injected within a step."""
     path = tmp_path / "truth"
-    rig = LockstepHand("jamia", truth_path=str(path), period_ns=3_333_333)
+    simulated_hand = LockstepHand("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):
         if k == 4:
-            rig.inject("flood bus=main size=1")
-        rig.step(k * 3_333_333, [])
-    rig.close()
+            simulated_hand.inject("flood bus=main size=1")
+        simulated_hand.step(k * 3_333_333, [])
+    simulated_hand.close()
     t_ns = read_truth(path).t_ns
     assert t_ns.tolist() == [k * 1_000_000 for k in range(len(t_ns))]
     assert len(t_ns) >= 99
-    (fault,) = rig.fault_states()
+    (fault,) = simulated_hand.fault_states()
     assert fault["felt"] == pytest.approx(87, abs=2)
 
 
 def test_a_motor_fault_acts_in_every_step() -> None:
-    rig = LockstepHand("jamia", homed=True)
-    rig.inject("off node=index_motor")
+    simulated_hand = LockstepHand("jamia", homed=True)
+    simulated_hand.inject("off node=index_motor")
     commands: list[float] = []
-    rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: (
+    simulated_hand.world.plant.motors["ring_motor"].power_stage_fault = lambda command: (
         commands.append(command) or 0.25
     )
-    rig.step(0, [])
+    simulated_hand.step(0, [])
     assert len(commands) == 4
-    assert rig.world.plant.motors["ring_motor"].torque > 0.2
-    assert rig.world.plant.motors["index_motor"].torque == 0.0
+    assert simulated_hand.world.plant.motors["ring_motor"].torque > 0.2
+    assert simulated_hand.world.plant.motors["index_motor"].torque == 0.0
 
 
 @pytest.mark.parametrize("stop_reason", ["size", "disk"])
 def test_a_full_truth_file_ends_and_the_simulation_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop_reason: str
 ) -> None:
-    rig = LockstepHand("jamia")
-    plant = rig.world.plant
+    simulated_hand = LockstepHand("jamia")
+    plant = simulated_hand.world.plant
     path = tmp_path / "truth"
     limit = 8192 + 1000 * 8 * (1 + len(truth_columns(plant)))
     writer = TruthWriter(path, plant, {}, limit if stop_reason == "size" else sys.maxsize)

@@ -208,14 +208,16 @@ def test_the_kernel_answers_as_the_nodes_do(
     simulated_hands[
         1
     ].world.faults.in_frames = True  # process every frame with the Python code of the nodes
-    count = 0
+    reply_count = 0
     for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, bus_count)):
-        answers, nodes = (rig.step(k * TICK_NS, frames) for rig in simulated_hands)
-        assert answers == nodes, f"tick {k}"
-        count += len(answers)
-    for rig in simulated_hands:
-        rig.close()
-    assert count > 400 * 3
+        replies, node_replies = (
+            simulated_hand.step(k * TICK_NS, frames) for simulated_hand in simulated_hands
+        )
+        assert replies == node_replies, f"tick {k}"
+        reply_count += len(replies)
+    for simulated_hand in simulated_hands:
+        simulated_hand.close()
+    assert reply_count > 400 * 3
     truth_of_kernel, truth_of_nodes = (read_truth(tmp_path / name) for name in ("kernel", "nodes"))
     assert np.array_equal(truth_of_kernel.values, truth_of_nodes.values)
     assert (
@@ -233,14 +235,14 @@ def test_the_kernel_answers_as_the_nodes_do(
 
 @pytest.mark.parametrize("protocol", TESTED_PROTOCOLS)
 def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path: Path) -> None:
-    rig = LockstepHand(hand_file(tmp_path, (protocol,)), seed=3)
+    simulated_hand = LockstepHand(hand_file(tmp_path, (protocol,)), seed=3)
     received = []
-    receive = rig.world.receive
-    rig.world.receive = lambda frame: received.append(frame) or receive(frame)  # type: ignore[method-assign, func-returns-value]
+    receive = simulated_hand.world.receive
+    simulated_hand.world.receive = lambda frame: received.append(frame) or receive(frame)  # type: ignore[method-assign, func-returns-value]
     for k, frames in enumerate(frames_of_ticks((protocol,), 300, 0)):
         if k == 10:
             received.clear()
-        rig.step(k * TICK_NS, frames)
+        simulated_hand.step(k * TICK_NS, frames)
     assert len(received) < 20, "nodes receive only the requests of temperatures, every 100 ms"
 
 
@@ -263,37 +265,38 @@ def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
     frames = [Frame(0x080, b"\0"), *[Frame(node, bytes(8), BRS | FDF) for node in (1, 2, 3, 4)]]
     readonly_records = np.frombuffer(frames_to_records(frames).tobytes(), FRAME_DTYPE)
     for k in range(3):
-        answers = simulated_hands[0].exchange(k * TICK_NS, readonly_records)
-        assert answers.dtype == FRAME_DTYPE
-        assert records_to_frames(answers) == simulated_hands[1].step(k * TICK_NS, frames)
-        assert all(not row["data"][row["length"] :].any() for row in answers)
-        assert np.all(np.diff(answers["t_ns"]) >= 0)
+        replies = simulated_hands[0].exchange(k * TICK_NS, readonly_records)
+        assert replies.dtype == FRAME_DTYPE
+        assert records_to_frames(replies) == simulated_hands[1].step(k * TICK_NS, frames)
+        assert all(not row["data"][row["length"] :].any() for row in replies)
+        assert np.all(np.diff(replies["t_ns"]) >= 0)
     assert len(simulated_hands[0].exchange(3 * TICK_NS, frames_to_records([]))) == 0
 
 
 def test_memory_grows_for_every_answer() -> None:
-    rig = LockstepHand("jamia", seed=1)
+    simulated_hand = LockstepHand("jamia", seed=1)
     frames = [Frame(node, bytes(8)) for node in (1, 2, 3, 4)] * 100
-    assert [answer.can_id for answer in rig.step(0, frames)] == [0x11, 0x12, 0x13, 0x14] * 100
-    rig.inject("flood bus=main")
-    assert len(rig.step(TICK_NS, frames)) > 400
+    reply_ids = [reply.can_id for reply in simulated_hand.step(0, frames)]
+    assert reply_ids == [0x11, 0x12, 0x13, 0x14] * 100
+    simulated_hand.inject("flood bus=main")
+    assert len(simulated_hand.step(TICK_NS, frames)) > 400
 
 
 def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
-    rig = LockstepHand("jamia", seed=1)
-    rig.step(0, [Frame(2, bytes(8))])
+    simulated_hand = LockstepHand("jamia", seed=1)
+    simulated_hand.step(0, [Frame(2, bytes(8))])
     write = Frame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 0x42))
-    answers = rig.step(
+    replies = simulated_hand.step(
         TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))]
     )
-    assert [answer.can_id for answer in answers] == [0x12] * 3
-    assert rig.world.foreign_frame_count == 1
+    assert [reply.can_id for reply in replies] == [0x12] * 3
+    assert simulated_hand.world.foreign_frame_count == 1
 
 
 def test_a_wrong_bus_is_refused() -> None:
-    rig = LockstepHand("jamia")
+    simulated_hand = LockstepHand("jamia")
     with pytest.raises(IndexError):
-        rig.step(0, [Frame(0x080, b"\0", 0, 1)])
+        simulated_hand.step(0, [Frame(0x080, b"\0", 0, 1)])
 
 
 def test_a_kernel_is_compiled_again_if_an_imported_module_changes(

@@ -28,17 +28,17 @@ def make_hand(seed=0):
     return LockstepHand("jamia", seed=seed, homed=True)
 
 
-def answers_of_ticks(simulated_hand, tick_count, frames=(REFRESH_FRAME,)):
+def replies_of_ticks(simulated_hand, tick_count, frames=(REFRESH_FRAME,)):
     """Run ticks in which a SYNC frame and the given frames arrive, and return the replies of each tick."""
-    answers = []
+    replies = []
     for _ in range(tick_count):
         k = simulated_hand.world.t_ns // 2_000_000
-        answers.append(
+        replies.append(
             simulated_hand.step(
                 simulated_hand.world.t_ns, [Frame(SYNC_ID, bytes((k & 0xFF,))), *frames]
             )
         )
-    return answers
+    return replies
 
 
 def test_a_fault_is_parsed_from_a_line():
@@ -103,19 +103,19 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
     run = make_hand()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
     run.world.plant.motors["index_motor"].servo.limit = 0.8
-    answers_of_ticks(run, 5)
+    replies_of_ticks(run, 5)
     run.inject(f"{fault_text} at=4ms for=40ms")
     assert run.fault_states()[0]["state"] == "waiting"
-    answers_of_ticks(run, 10)
+    replies_of_ticks(run, 10)
     assert run.fault_states()[0]["state"] == "acting"
     run.world.plant.motors["index_motor"].servo.torque = 0.02
-    answers_of_ticks(run, 20)
+    replies_of_ticks(run, 20)
     state = run.fault_states()[0]
     assert state["state"] == "over"
     assert state["felt"] > 0, "the disturbance had an effect"
     assert 14_000_000 <= state["first_ns"] <= 54_000_000
     effects_before = state["felt"]
-    answers_of_ticks(run, 10)
+    replies_of_ticks(run, 10)
     assert run.fault_states()[0]["felt"] == effects_before
 
 
@@ -129,7 +129,7 @@ def test_no_size_of_any_fault_ends_the_simulator(fault_text):
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
             run.inject(f"{fault_text} size={size} for=6ms seed={i}")
-        answers_of_ticks(run, 4)
+        replies_of_ticks(run, 4)
     assert 1 <= len(run.fault_states()) < 7
 
 
@@ -144,7 +144,7 @@ def test_equal_seeds_lose_equal_frames():
     for seed in (1, 1, 2):
         run = make_hand()
         run.inject(f"drop node=sensors p=0.3 seed={seed}")
-        runs.append([len(answers) for answers in answers_of_ticks(run, 200)])
+        runs.append([len(replies) for replies in replies_of_ticks(run, 200)])
     assert runs[0] == runs[1] != runs[2]
     lost = 400 - sum(runs[0])
     assert 30 <= lost <= 95
@@ -153,13 +153,13 @@ def test_equal_seeds_lose_equal_frames():
 def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
     run = make_hand()
     run.inject("delay node=sensors size=5")
-    answers = answers_of_ticks(run, 10, ())
-    assert [len(a) for a in answers[:3]] == [0, 0, 1]
+    replies = replies_of_ticks(run, 10, ())
+    assert [len(a) for a in replies[:3]] == [0, 0, 1]
     run = make_hand()
     run.inject("reorder node=sensors")
     counters = [
         frame.data[0] & 0xF
-        for a in answers_of_ticks(run, 6, ())
+        for a in replies_of_ticks(run, 6, ())
         for frame in a
         if frame.can_id == 0x1A0
     ]
@@ -170,12 +170,12 @@ def test_a_broken_tendon_is_slack_until_it_is_mended():
     run = make_hand()
     motor = run.world.plant.motors["index_motor"]
     motor.servo.torque, motor.servo.limit = 0.15, 0.8
-    answers_of_ticks(run, 150)
+    replies_of_ticks(run, 150)
     assert run.truth()["tension"][0] > 15.0
     run.inject("snap tendon=index_tendon for=20ms")
-    answers_of_ticks(run, 1)
+    replies_of_ticks(run, 1)
     assert run.truth()["tension"][0] == 0.0
-    answers_of_ticks(run, 10)
+    replies_of_ticks(run, 10)
     assert run.truth()["tension"][0] > 15.0
 
 

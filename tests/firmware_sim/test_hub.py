@@ -25,13 +25,13 @@ CLASSICAL_FLAGS, FD_FLAGS = 0, 4
 
 
 def frame_record(
-    can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped_frames: int = 0
+    can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped_record_count: int = 0
 ) -> bytes:
     """Build the bytes of the kernel's ``struct canfd_frame``, without the code of the hub."""
     head = (
         can_id.to_bytes(4, "little")
         + bytes((len(data), flags))
-        + dropped_frames.to_bytes(2, "little")
+        + dropped_record_count.to_bytes(2, "little")
     )
     return head + data + bytes(64 - len(data))
 
@@ -126,9 +126,9 @@ def test_the_senders_reserved_bytes_do_not_look_like_drops(
     hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
     a, b = connect_client(), connect_client()
-    a.sendall(frame_record(1, b"x", dropped_frames=0x1234))
+    a.sendall(frame_record(1, b"x", dropped_record_count=0x1234))
     serve_until_idle(hub)
-    assert read_all(b) == frame_record(1, b"x", dropped_frames=0)
+    assert read_all(b) == frame_record(1, b"x", dropped_record_count=0)
 
 
 def record_numbers(record_bytes: bytes) -> list[tuple[int, int]]:
@@ -188,7 +188,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     data = first_part + read_all(idle_client)
     assert len(data) % RECORD_BYTES == 0
     assert data[-RECORD_BYTES:] == frame_record(
-        0x7FF, b"next", dropped_frames=hub.dropped_record_count % 65536
+        0x7FF, b"next", dropped_record_count=hub.dropped_record_count % 65536
     )
 
 
@@ -199,11 +199,11 @@ def test_drops_of_a_disconnected_client_still_count(
     while not hub.dropped_record_count:
         hub.send(frame_record(1, b"") * 100)
         read_all(stays)
-    dropped_before = hub.dropped_record_count
+    dropped_count_before = hub.dropped_record_count
     leaves.close()
     serve_until_idle(hub)
     assert hub.client_count == 1
-    assert hub.dropped_record_count == dropped_before
+    assert hub.dropped_record_count == dropped_count_before
     hub.send(frame_record(2, b"still here"))
     assert read_all(stays) == frame_record(2, b"still here")
 

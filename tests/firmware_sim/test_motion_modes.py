@@ -400,10 +400,7 @@ def read_object(bench: SimulatedDriveBench, index: int, sub_index: int = 0) -> i
 
 
 def send_controlword(bench: SimulatedDriveBench, control_word: int) -> int:
-    """Write a control word to the CiA 402 drive.
-
-    Return the status word of the drive ten milliseconds later.
-    """
+    """Write a control word to the CiA 402 drive, wait 10 ms, and return the status word of the drive."""
     write_object(bench, 0x6040, 0, control_word, 2)
     bench.advance(bench.t_ns + 10 * NS_PER_MS)
     return read_object(bench, 0x6041)

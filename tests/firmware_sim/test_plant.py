@@ -73,7 +73,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f / k.
+    """Test the travel of the spool at rest and without friction: r_a theta = sum r q + f / k.
 
     The spool has the radius r_a and the angle theta. A joint has the moment arm r and the angle q.
     The tendon has the tension f and the stiffness k.

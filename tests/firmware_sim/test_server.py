@@ -193,18 +193,20 @@ class GrantedPriority:
     def __init__(self) -> None:
         self.now_s, self.requests, self.active = 0.0, 0, False
 
-    def take(self) -> bool:
+    def take_priority(self) -> bool:
         self.requests, self.active = self.requests + 1, True
         return True
 
-    def restore(self) -> None:
+    def restore_priority(self) -> None:
         self.active = False
 
 
 def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     granted_priority = GrantedPriority()
     priority = RealTimePriority(
-        granted_priority.take, granted_priority.restore, lambda: granted_priority.now_s
+        granted_priority.take_priority,
+        granted_priority.restore_priority,
+        lambda: granted_priority.now_s,
     )
     for _ in range(10):
         priority.count_clock_slip()
@@ -355,15 +357,15 @@ def test_buses_that_cannot_be_opened_are_refused(
 
 def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
-    owner = HubPort("shared", 3)
+    hub_port = HubPort("shared", 3)
     hub_client_port = HubClientPort("shared", 5)
-    owner.receive(owner.read_sockets())
+    hub_port.receive(hub_port.read_sockets())
     request, answer = Frame(1, ENABLE_PAYLOAD), Frame(0x11, bytes(range(48)), FDF)
-    owner.send([request])
+    hub_port.send([request])
     assert hub_client_port.receive(hub_client_port.read_sockets()) == [request._replace(bus=5)]
     hub_client_port.send([answer])
-    assert owner.receive(owner.read_sockets()) == [answer._replace(bus=3)]
-    owner.close()
+    assert hub_port.receive(hub_port.read_sockets()) == [answer._replace(bus=3)]
+    hub_port.close()
     with pytest.raises(SimulatorError, match="hub has closed the connection"):
         hub_client_port.receive(hub_client_port.read_sockets())
     hub_client_port.close()

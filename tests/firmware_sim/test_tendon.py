@@ -147,8 +147,8 @@ def test_friction_dissipates_energy_and_the_slope_matches(
     tension = tendon.step_tension(q, dq, theta, spool_speed / 0.005, torque)
     power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * spool_speed
     assert power <= 1e-9
-    worst = max(abs(0.003 * tension - t) / 0.003 for t in torque)
-    assert tendon.row.slope * abs(spool_speed) >= worst - 1e-6
+    largest_tension_change = max(abs(0.003 * tension - t) / 0.003 for t in torque)
+    assert tendon.row.slope * abs(spool_speed) >= largest_tension_change - 1e-6
 
 
 def test_slope_is_continuous_at_zero_speed() -> None:

@@ -36,8 +36,10 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
     kinetic_energies, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
     for k, angle in enumerate(ANGLE_FUNCTIONS):
         cx, cy = x + d[k] * sp.cos(angle), y + d[k] * sp.sin(angle)
-        speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
-        kinetic_energies.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2)
+        squared_speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
+        kinetic_energies.append(
+            m[k] * squared_speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2
+        )
         potential += m[k] * PARAMETER_SYMBOLS[-1] * cy
         x, y = x + length[k] * sp.cos(angle), y + length[k] * sp.sin(angle)
     return kinetic_energies, potential
@@ -257,10 +259,12 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
     In this formula, x is the distance of each centre of mass from joint 1.
     """
     digit = motion.upright_digit("index")
-    base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
-    held_torque = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
+    joint_distances = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
+    expected_torque = 9.81 * float(
+        np.array(digit.masses) @ (joint_distances + digit.centres_of_mass[:, 0])
+    )
     item_by_id = {item.id: item for item in sections.page_errata(None)}
-    assert item_by_id["eq10.static"].computed == pytest.approx(held_torque, rel=1e-9)
+    assert item_by_id["eq10.static"].computed == pytest.approx(expected_torque, rel=1e-9)
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
@@ -288,10 +292,11 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S.
+    """Test two formulas of the page about the paper: tau = S^T T for torques, M_q = S^T M_theta S for mass matrices.
 
-    The torques tau and the mass matrix M_q belong to relative joint angles. The torques T and the
-    mass matrix M_theta belong to absolute angles. S is the lower triangular matrix of ones.
+    In relative joint angles, the torques are tau and the mass matrix is M_q. In absolute link
+    angles, the torques are T and the mass matrix is M_theta. S is the lower triangular matrix of
+    ones.
     """
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)

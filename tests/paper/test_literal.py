@@ -1,4 +1,4 @@
-"""Test that the tests of the dynamic model fail with Eq. 10 exactly as the paper prints it."""
+"""Test Eq. 10 exactly as the paper prints it: with this form, tests of the dynamic model must fail."""
 
 import os
 import re

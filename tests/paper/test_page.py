@@ -26,7 +26,8 @@ RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
     """Every line of the stored page equals the same line of the generated page, even a line with measured values.
 
-    If this test fails, run the command that the page about the paper states.
+    If this test fails, regenerate the page with the command in the text of
+    ``docs/evidence/paper.md``.
     """
     assert main(["paper", "--markdown", "--results", str(RESULTS_FILE)]) == 0
     assert (

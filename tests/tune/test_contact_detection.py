@@ -138,15 +138,17 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are those of two sweeps of a digit, and consist of noise and a ramp. The ramp begins at
-    the angle ``kink_start``, and has the slope ``kink_size``.
+    The generated data stand for two sweeps of a digit, and are the sum of noise and a ramp. The
+    ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
     residuals = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
-    fitted = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
-    return steepest_ramp(jacobian, residuals + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
+    line_parameters = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
+    return steepest_ramp(
+        jacobian, residuals + jacobian @ line_parameters, 0, angle, (np.ones(ROW_COUNT),)
+    )
 
 
 def test_noise_without_contact_has_no_kink() -> None:

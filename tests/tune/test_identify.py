@@ -79,8 +79,8 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
     """In a digit with several tendons, the identification of the spring stiffness needs joint encoders.
 
-    At 200 Hz, the inertia and the friction of a motor are identified less accurately. Because of
-    the lower accuracy, the confidence intervals of inertia and friction are wider.
+    At 200 Hz, inertia and friction of a motor are identified less accurately than at higher control
+    rates, and have wider confidence intervals.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRING_DIGIT_PARAMETERS
@@ -351,8 +351,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 ) -> None:
     """Reproduce a defect: the report gave the wrong reason why spring parameters were not identified.
 
-    The report stated "no data depend on this parameter". The true reason is that a digit with
-    several tendons needs joint encoders.
+    The report stated "no data depend on this parameter". The correct reason is "needs joint
+    encoders", which holds for digits with several tendons.
     """
     content = hand_content("jamia11")
     node = content["sensor_node"]

@@ -121,12 +121,14 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
                 assert (np.array(step.targets) >= low - 1e-9).all()
                 assert (np.array(step.targets) <= high + 1e-9).all()
             if step.kind == "tension":
-                ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon[digit.tendons]])
+                max_tensions = np.array(
+                    [tendon.tension_max_N for tendon in hand.tendon[digit.tendons]]
+                )
                 is_pair = bool(hand.is_pair[digit.tendons].any())
-                largest = (
+                largest_tension = (
                     SPOOL_PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
-                ) * ceiling
-                assert (np.abs(step.targets) <= largest + 1e-9).all()
+                ) * max_tensions
+                assert (np.abs(step.targets) <= largest_tension + 1e-9).all()
                 floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[digit.tendons]])
                 assert is_pair or (np.array(step.targets) >= floor).all()
 

@@ -206,8 +206,9 @@ def test_search_resumes_from_a_truncated_journal(
 ) -> None:
     """In this test, the journal of a search is cut off in the middle of a line.
 
-    A search begins with random trials, and the sampler chooses the later trials. Depending on the
-    test case, the journal ends among the random trials or among the trials of the sampler.
+    A search begins with random trials, and the sampler chooses the later trials. In some test
+    cases, the journal is cut off within the random trials. In the other test cases, the journal is
+    cut off within the later trials.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
@@ -302,7 +303,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class WorkersWithSecondSearch(InProcessWorkers):
-        """Workers that, during their own search, try to start a second search with the same journal."""
+        """Workers of a search that try to start a second search with the journal of the first search."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]

@@ -69,7 +69,7 @@ def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
 
     The returned LQR weights, integral gain and filter noises differ from their default values by at
     most the factor ``gain_range``. The disturbance rejection is a random number between 0 and 1.
-    The tension feedback is random, and at most as large as its default value.
+    The gain ``tension_feedback`` is random, and not larger than its default value.
     """
     random = np.random.default_rng(seed)
 
@@ -105,7 +105,7 @@ def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
 
 
 def model_with_force_weight(force_N: float) -> HandModel:
-    """Return the model of the hand jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
+    """Return a model of the hand jamia with the LQR weights ``SATURATED_GAINS`` and ``force_N`` [N]."""
     table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force_N}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
@@ -363,8 +363,8 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
     The links of a pressed digit slip at random times. A slip causes a peak of several newtons.
-    Earlier, the design simulated each plant (simulated hand) only once, so that a single slip
-    decided the result.
+    Earlier, the design simulated each plant (simulated hand) only once. A single slip of a link
+    could then make the design refuse good gains.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 

@@ -150,15 +150,15 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
-    numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
-    places, first_element = TelemetrySlices(), 0
+    telemetry_values = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
+    telemetry_slices, first_element = TelemetrySlices(), 0
     for name, size in (
         ("q", len(hand.joints)), ("q_goal", len(hand.joints)), ("contact", len(hand.digit)),
         ("tension", len(hand.tendon)),
     ):  # fmt: skip
-        places[name] = slice(first_element, first_element + size)
+        telemetry_slices[name] = slice(first_element, first_element + size)
         first_element += size
-    telemetry = PackedTelemetry(numbers, places)
+    telemetry = PackedTelemetry(telemetry_values, telemetry_slices)
     telemetry.q_goal[joint_index] = lag_rad_or_m
     out = TickOut((), HandMode.ACTIVE, "move", SafetyAction.PASS, telemetry, (), bytes(8))
     assert observer._violated_limit(out, 0.0) == expected_reason
@@ -208,9 +208,10 @@ def test_the_proposed_command_has_quoted_names(capsys: pytest.CaptureFixture[str
 
 
 def test_a_report_names_the_gains_of_each_round() -> None:
-    rounds = round_amplitudes(0.4)
-    assert [_gains_label(i, None, rounds) for i in range(5)] == ["old", "old", "new", "new", "new"]
-    assert [_gains_label(i, {"amplitude": rounds[3]}, rounds) for i in range(5)] == [
+    amplitudes = round_amplitudes(0.4)
+    labels = [_gains_label(i, None, amplitudes) for i in range(5)]
+    assert labels == ["old", "old", "new", "new", "new"]
+    assert [_gains_label(i, {"amplitude": amplitudes[3]}, amplitudes) for i in range(5)] == [
         "old",
         "old",
         "new",
@@ -225,6 +226,8 @@ def test_the_page_about_tuning_quotes_the_report() -> None:
     why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
     quoted_text = rollback_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
     assert f'"{quoted_text}"' in text
-    rounds = round_amplitudes(1.0)
-    later_round_labels = {_gains_label(i, {"amplitude": rounds[2]}, rounds) for i in range(2, 5)}
+    amplitudes = round_amplitudes(1.0)
+    later_round_labels = {
+        _gains_label(i, {"amplitude": amplitudes[2]}, amplitudes) for i in range(2, 5)
+    }
     assert all(f'"{label}"' in text for label in later_round_labels)

@@ -164,7 +164,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def observation_parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation of this environment."""
+        """Return the parts of the observation vector, in the order in which the vector contains them."""
 
     def common_observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation that all environments have: joint angles, joint rates and tensions."""
@@ -198,7 +198,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return None
 
     def requests_of_action(self, action_vector: Vector) -> list[str]:
-        """Return the additional requests of a step. Every step also sends a target of the stream."""
+        """Return the requests that a step sends to the controller in addition to its target."""
         return []
 
     def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
@@ -372,7 +372,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         )
 
     def _step_requests(self, action_vector: Vector) -> list[TickRequest]:
-        """Return all requests of a step.
+        """Return all requests that a step sends to the controller, including the next target.
 
         If the joints or digits with targets have changed since the last step, a request opens a new
         stream.
@@ -399,11 +399,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             change, -self._largest_step_deg, self._largest_step_deg
         )
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
-        number = self._target_number
+        target_number = self._target_number
         self._target_number += 1
         return StreamTarget(
             STREAM_NAME,
-            number,
+            target_number,
             self.simulated_run.k * self.simulated_run.period_ns,
             tuple([angles[name] for name in self._last_streamed_names]),
         )

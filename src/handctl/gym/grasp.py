@@ -43,7 +43,7 @@ class GraspEnv(HandEnv):
     below the cylinder sinks. The table sinks when three digits or more, including the thumb, have
     pressed on the cylinder with 1 N for 1.5 s. An action consists of targets, followed by one value
     t for each digit. If t is positive, the digit holds a tension of t times the largest allowed
-    tension. Digits whose value t is not positive follow their targets. The grip is the mean of
+    tension. If t is zero or negative, the digit follows its targets. The grip is the mean of
     min(force / 1 N, 1) over all digits. The reward of a step is the change of the grip during the
     step. A success adds 10 to the reward, and a drop of the object or a fault subtracts 1. The
     reward uses the true forces and the true height of the object.
@@ -151,7 +151,7 @@ class GraspEnv(HandEnv):
     def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
         """Return the joints or digits of an action that follow targets.
 
-        Digits that are not in the result hold a tension.
+        All digits for which the action demands a positive tension are left out of the result.
         """
         follows_targets = self._demanded_tensions(action_vector) <= 0.0
         return tuple(
@@ -161,9 +161,10 @@ class GraspEnv(HandEnv):
         )
 
     def _demanded_tensions(self, action_vector: Vector) -> Vector:
-        """Return the tension of each digit in an action (D,) [N].
+        """Return the tension that an action demands from each digit (D,) [N].
 
-        A digit whose value t in the action is 0 or less follows its targets instead of a tension.
+        If the returned value of a digit is 0 or less, the digit follows its targets instead of a
+        tension.
         """
         tensions: Vector = np.round(action_vector[len(self.names) :] * self._max_tension_N, 3)
         return tensions

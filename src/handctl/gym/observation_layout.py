@@ -62,14 +62,14 @@ class ObservationLayout:
             values_of_part: function that takes the name of a part and returns its values. An unknown value
                 (NaN) becomes 0.
         """
-        row = np.concatenate(
+        part_values = np.concatenate(
             [
                 np.asarray(values_of_part(observation_part.name), np.float64)
                 for observation_part in self.parts
             ]
         )
         clipped_values = np.clip(
-            np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high
+            np.nan_to_num(part_values, nan=0.0).astype(np.float32), self.space.low, self.space.high
         )
         return np.asarray(clipped_values, np.float32)
 

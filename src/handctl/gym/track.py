@@ -95,10 +95,10 @@ class TrackEnv(HandEnv):
             axis=0
         )
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
-        blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        blend_fraction = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = (
-            self._reference_units.to_display_units(self._start) * (1.0 - blend)
-            + sine_reference * blend
+            self._reference_units.to_display_units(self._start) * (1.0 - blend_fraction)
+            + sine_reference * blend_fraction
         )
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
@@ -112,7 +112,7 @@ class TrackEnv(HandEnv):
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step, False, and the tracking error.
+        """Return the reward of a step, False, and a dictionary that contains the tracking error.
 
         The reward depends on the true tracking error. The second result is False, because the
         environment has neither a success nor a failure.
@@ -135,7 +135,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the unit of each reference. A reference belongs to a digit or to a coordinate of joints."""
+        """Return the display unit of each reference, which belongs to a digit or to a coordinate of joints."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(

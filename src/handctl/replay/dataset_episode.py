@@ -128,15 +128,21 @@ def _read_actions(
     Raises:
         ConfigError: the dataset does not have the episode, or a file of the dataset is damaged.
     """
-    rows = _read_episodes(dataset_folder)
-    numbers = rows["episode_index"].to_pylist()
-    if episode_index not in numbers:
-        expected_text = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
+    episodes = _read_episodes(dataset_folder)
+    episode_indices = episodes["episode_index"].to_pylist()
+    if episode_index not in episode_indices:
+        expected_text = (
+            f"{min(episode_indices)} to {max(episode_indices)}"
+            if episode_indices
+            else "a recorded episode"
+        )
         raise ConfigError(f"no episode {episode_index}", str(dataset_folder), expected_text)
-    at = numbers.index(episode_index)
-    numbers = {name: rows[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")}
+    at = episode_indices.index(episode_index)
+    file_indices = {
+        name: episodes[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")
+    }
     try:
-        path = dataset_folder / str(dataset_info["data_path"]).format(**numbers)
+        path = dataset_folder / str(dataset_info["data_path"]).format(**file_indices)
     except (KeyError, ValueError, IndexError, AttributeError):
         raise ConfigError(
             _value_text(dataset_info.get("data_path")),
@@ -277,8 +283,8 @@ def _smooth_curve(
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
         unit, displayed_per_degree = units.names[joint], units.displayed_per_degree[joint]
-        fastest = displayed_per_degree * rates.max()
-        problem = f"{hand.joints[joint]} with {fastest:.0f} {unit}/s after {at[tick]:.2f} s"
+        max_speed = displayed_per_degree * rates.max()
+        problem = f"{hand.joints[joint]} with {max_speed:.0f} {unit}/s after {at[tick]:.2f} s"
         limit = f"{displayed_per_degree * FOLLOW_SPEED_DEG_S:.4g}"
         raise ConfigError(problem, episode_name, f"at most {limit} {unit}/s, or a limit by --speed")
     return RecordedGoals(

@@ -46,8 +46,8 @@ def _check_counters(log: RunLog) -> Iterator[str]:
     for gap in log.gaps:
         if gap.first_tick_after <= gap.last_tick_before:
             continue
-        count = gap.first_tick_after - gap.last_tick_before - 1
-        yield f"gap: {count} ticks are missing between {gap.last_tick_before} and {gap.first_tick_after}"
+        missing_tick_count = gap.first_tick_after - gap.last_tick_before - 1
+        yield f"gap: {missing_tick_count} ticks are missing between {gap.last_tick_before} and {gap.first_tick_after}"
 
 
 def _check_clock(log: RunLog) -> Iterator[str]:

@@ -112,8 +112,8 @@ def execute_log(
                 0, len(log), runner.controller.initial_state(), observer, add_progress
             )
     wall_time_s = time.perf_counter() - start
-    cpu = _cpu_seconds() - cpu_start
-    length = float(log.times[-1]) if len(log) else 0.0
+    cpu_time_s = _cpu_seconds() - cpu_start
+    run_time_s = float(log.times[-1]) if len(log) else 0.0
     tally_fields = (
         difference_tally.ticks,
         difference_tally.differing_ticks,
@@ -122,7 +122,7 @@ def execute_log(
         difference_tally.first_state_difference,
         difference_tally.largest_difference,
     )
-    return LogExecution(*tally_fields, wall_time_s, cpu, length)
+    return LogExecution(*tally_fields, wall_time_s, cpu_time_s, run_time_s)
 
 
 def _ignore_progress(ticks: int) -> None:

@@ -38,8 +38,8 @@ ProgressCallback = Callable[[int], None]
 def relative_error(difference: TickDifference) -> float:
     """Return the error of a computed value compared with the logged value.
 
-    If the magnitude of the logged number is below 1, the error is the absolute difference. For
-    larger numbers, the error is the relative difference.
+    If the magnitude of the logged number is below 1, the error is the absolute difference. If the
+    magnitude is 1 or more, the error is the relative difference.
 
     Returns:
         the error: 0 for texts, and infinity if a number is NaN.
@@ -80,7 +80,7 @@ class DifferenceTally:
         return merged_tally
 
     def add_tick(self, tick_differences: list[TickDifference], has_equal_decisions: bool) -> None:
-        """Add the differences of one tick to the tally.
+        """Add the differences between one logged tick and the computed tick to the tally.
 
         Args:
             tick_differences: the differences between the logged and the computed tick.

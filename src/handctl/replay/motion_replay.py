@@ -76,8 +76,9 @@ def count_missing_ticks(log: RunLog) -> int:
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, converted to another control period.
 
-    While a digit holds a tension, the digit has no joint targets. At a sample time, the joint
-    targets of a digit are NaN if the digit held a tension in the tick before or after this time.
+    While the controller holds a constant tension in a digit, the digit has no joint targets. At a
+    sample time, the joint targets of a digit are NaN if the digit held a tension in one of the two
+    neighbouring ticks.
 
     Args:
         log: log of the run.

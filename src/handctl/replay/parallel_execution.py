@@ -1,11 +1,12 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-The log is divided into consecutive parts, and each process executes one part. Where one part ends
-and the next part begins, two hashes are compared. One hash comes from the state that the earlier
-process has computed. The other hash is the logged hash of the snapshot from which the later process
-has started. If the hashes are equal, a serial execution would reach the same state, and the results
-of the two parts are combined. If the hashes differ, one process executes the rest of the log
-serially. The result of a parallel execution is always equal to the result of a serial execution.
+The log is divided into consecutive parts, and each process executes one part. At each border
+between two parts, two hashes of the controller's state are compared. One hash comes from the state
+that the earlier process has computed. The other hash is the logged hash of the snapshot from which
+the later process has started. If the hashes are equal, a serial execution would reach the same
+state, and the results of the two parts are combined. If the hashes differ, one process executes the
+rest of the log serially. The result of a parallel execution is always equal to the result of a
+serial execution.
 """
 
 import json
@@ -141,7 +142,7 @@ def run_parallel(
 def split_log(runner: LogRunner, worker_count: int) -> list[LogPart]:
     """Divide a log into consecutive parts of about equal length, and return them.
 
-    Each part begins at the start of the log or just after a snapshot.
+    Each part of the log begins at the first tick of the log or just after a snapshot.
     """
     ticks = len(runner.log)
     k = runner.log.k
@@ -209,10 +210,11 @@ def _result_json(
 def _wait_for_result(
     runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
 ) -> tuple[ControllerState, DifferenceTally] | None:
-    """Wait for a worker process. Return the state and the tally at the end of the worker's part.
+    """Wait for a worker process that executes a part of the log, and return its result.
 
     Returns:
-        the state and the tally. None if the process did not finish its part.
+        the controller's state at the end of the part, and the tally of differences in the part.
+        None if the process did not finish its part.
     """
     data = b""
     while True:

@@ -39,10 +39,12 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
     counts = dict[str, int]()
     end_times = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, end_times, strict=True):
-        counts[change.name] = number = counts.get(change.name, 0) + 1
+        counts[change.name] = occurrence_number = counts.get(change.name, 0) + 1
         spans.append(
             PhaseSpan(
-                change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end
+                change.name if occurrence_number == 1 else f"{change.name} ({occurrence_number})",
+                change.t_ns * 1e-9,
+                end,
             )
         )
     return spans

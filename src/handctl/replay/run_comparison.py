@@ -75,11 +75,15 @@ def compare_signals(
         By name of the column: rms and peak of the difference in the unit of the signals, and
         delay_s, by which `signal_after` lags behind `signal_before` [s]. The delay of a constant signal is NaN.
     """
-    rows = min(len(signal_before), len(signal_after))
-    differences = signal_after[:rows] - signal_before[:rows]
+    row_count = min(len(signal_before), len(signal_after))
+    differences = signal_after[:row_count] - signal_before[:row_count]
     return {
         name: rms_and_peak_difference(differences[:, i])
-        | {"delay_s": signal_delay(signal_before[:rows, i], signal_after[:rows, i], period)}
+        | {
+            "delay_s": signal_delay(
+                signal_before[:row_count, i], signal_after[:row_count, i], period
+            )
+        }
         for i, name in enumerate(names)
     }
 
@@ -122,19 +126,19 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
             for shift in range(-max_shift, max_shift + 1)
         ]
     )
-    best = int(np.argmin(residual))
-    if not 0 < best < 2 * max_shift or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
-        signal_before[compared_rows]
-    ):
+    best_index = int(np.argmin(residual))
+    if not 0 < best_index < 2 * max_shift or not residual[
+        best_index
+    ] < MAX_UNEXPLAINED_FRACTION * np.var(signal_before[compared_rows]):
         return float("nan")
-    variance_before, min_residual, variance_after = residual[best - 1 : best + 2]
-    # The variable `bend` is the second difference of the variance with respect to the shift. If
-    # `bend` is not positive, the minimum of the variance is flat, and the best time shift is not
-    # refined.
+    variance_before, min_residual, variance_after = residual[best_index - 1 : best_index + 2]
+    # The variable `curvature` is the second difference of the variance with respect to the shift.
+    # If `curvature` is not positive, the minimum of the variance is flat, and the best time shift
+    # is not refined.
     curvature = variance_before - 2.0 * min_residual + variance_after
     return float(
         (
-            best
+            best_index
             - max_shift
             + (0.5 * (variance_before - variance_after) / curvature if curvature > 0 else 0.0)
         )
@@ -178,16 +182,26 @@ def compare_runs(
             factor * resampled_field(*run, times)
             for run in ((a, field, start_of_first_run_s), (b, field, start_of_second_run_s))
         )
-        rows = compare_signals(a.header.axis_names(axis), signals_before, signals_after, period)
+        differences_by_name = compare_signals(
+            a.header.axis_names(axis), signals_before, signals_after, period
+        )
         prismatic = prismatic_joints(a.header) if field == "q" else frozenset()
         result[f"{axis}_{unit}"] = {
-            name: row for name, row in rows.items() if name not in prismatic
+            name: differences
+            for name, differences in differences_by_name.items()
+            if name not in prismatic
         }
         if prismatic:
             factors_to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
             result[f"{axis}_mm"] = {
-                name: dict(zip(row, (factors_to_mm * list(row.values())).tolist(), strict=True))
-                for name, row in rows.items()
+                name: dict(
+                    zip(
+                        differences,
+                        (factors_to_mm * list(differences.values())).tolist(),
+                        strict=True,
+                    )
+                )
+                for name, differences in differences_by_name.items()
                 if name in prismatic
             }
     return result

@@ -81,7 +81,10 @@ def _float_ordinal(value: float) -> int:
 
 
 def differing_fields(
-    columns: TelemetryColumns, logged_tick: TickRecord, logged_telemetry: bytes, computed: TickOut
+    columns: TelemetryColumns,
+    logged_tick: TickRecord,
+    logged_telemetry: bytes,
+    computed_tick: TickOut,
 ) -> Iterator[TickDifference]:
     """Yield every field in which a logged tick and a computed tick differ.
 
@@ -92,7 +95,7 @@ def differing_fields(
         columns: names of the telemetry columns.
         logged_tick: the logged tick.
         logged_telemetry: packed telemetry of the logged tick.
-        computed: the computed tick.
+        computed_tick: output of the computed tick.
     """
     k = logged_tick.tick_in.k
     t_s = logged_tick.tick_in.t_ns / 1e9
@@ -103,14 +106,14 @@ def differing_fields(
         if logged_value != computed_value:
             yield TickDifference(k, t_s, field, "", str(logged_value), str(computed_value))
 
-    yield from text_difference("mode", logged_tick.mode.name, computed.mode.name)
-    yield from text_difference("action", logged_tick.action.name, computed.action.name)
-    yield from text_difference("phase", logged_tick.phase, computed.phase)
+    yield from text_difference("mode", logged_tick.mode.name, computed_tick.mode.name)
+    yield from text_difference("action", logged_tick.action.name, computed_tick.action.name)
+    yield from text_difference("phase", logged_tick.phase, computed_tick.phase)
     yield from text_difference(
-        "events", _events_text(logged_tick.events), _events_text(computed.events)
+        "events", _events_text(logged_tick.events), _events_text(computed_tick.events)
     )
     # logs of earlier versions of handctl do not have the last telemetry fields
-    packed = computed.telemetry.to_bytes()[: len(logged_telemetry)]
+    packed = computed_tick.telemetry.to_bytes()[: len(logged_telemetry)]
     if packed != logged_telemetry:
         for column, logged_value, computed_value in _changed_telemetry_numbers(
             logged_telemetry, packed
@@ -124,15 +127,17 @@ def differing_fields(
                 computed_value,
                 distance_in_ulps(logged_value, computed_value),
             )
-    yield from text_difference("number of frames", len(logged_tick.frames), len(computed.frames))
+    yield from text_difference(
+        "number of frames", len(logged_tick.frames), len(computed_tick.frames)
+    )
     for i, (logged_frame, computed_frame) in enumerate(
-        zip(logged_tick.frames, computed.frames, strict=False)
+        zip(logged_tick.frames, computed_tick.frames, strict=False)
     ):
         yield from text_difference(
             f"frames[{i}]", _frame_text(logged_frame), _frame_text(computed_frame)
         )
     yield from text_difference(
-        "state_hash", logged_tick.state_hash.hex(), computed.state_hash.hex()
+        "state_hash", logged_tick.state_hash.hex(), computed_tick.state_hash.hex()
     )
 
 
@@ -177,31 +182,33 @@ def state_difference(
     return None
 
 
-def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed: TickOut) -> bool:
+def are_outputs_equal(
+    logged_tick: TickRecord, logged_telemetry: bytes, computed_tick: TickOut
+) -> bool:
     """Return True if every byte of a tick's output is the same in the log and in the re-execution."""
     return (
-        logged_tick.state_hash == computed.state_hash
+        logged_tick.state_hash == computed_tick.state_hash
         and logged_tick.frames.records.tobytes()
-        == frames_as_records(computed.frames).records.tobytes()
-        and logged_telemetry == computed.telemetry.to_bytes()[: len(logged_telemetry)]
+        == frames_as_records(computed_tick.frames).records.tobytes()
+        and logged_telemetry == computed_tick.telemetry.to_bytes()[: len(logged_telemetry)]
         and (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_tick.events)
-        == (computed.mode, computed.action, computed.phase, computed.events)
+        == (computed_tick.mode, computed_tick.action, computed_tick.phase, computed_tick.events)
     )
 
 
-def are_decisions_equal(logged_tick: TickRecord, computed: TickOut) -> bool:
+def are_decisions_equal(logged_tick: TickRecord, computed_tick: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
     The decisions of a tick are the mode, the reaction to faults, the grasp phase and the events.
     The texts of the events are not compared, because they contain numbers.
     """
     logged_events, computed_events = (
-        [event[:3] for event in events] for events in (logged_tick.events, computed.events)
+        [event[:3] for event in events] for events in (logged_tick.events, computed_tick.events)
     )
     return (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_events) == (
-        computed.mode,
-        computed.action,
-        computed.phase,
+        computed_tick.mode,
+        computed_tick.action,
+        computed_tick.phase,
         computed_events,
     )
 

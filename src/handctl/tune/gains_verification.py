@@ -63,7 +63,7 @@ AMPLITUDE_ROUNDING_STEP = 0.05
 
 
 def round_amplitudes(max_amplitude: float = 1.0) -> tuple[float, ...]:
-    """Return the amplitude of each round of the exercise for a given largest amplitude."""
+    """Return the amplitude of each round of the exercise, scaled to the given largest amplitude."""
     return tuple(max_amplitude * amplitude for amplitude in ROUND_AMPLITUDES)
 
 

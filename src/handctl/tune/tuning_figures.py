@@ -192,7 +192,7 @@ def draw_verify(
     offset_ns: int,
     rollback: GainsRollback | None,
 ) -> None:
-    """Draw angles, tensions and motor torques of a verification, and the times at which the gains changed.
+    """Draw angles, tensions and motor torques of a verification run, and the times at which the gains changed.
 
     Args:
         path: PNG file to write.

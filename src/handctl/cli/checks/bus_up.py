@@ -64,8 +64,8 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
-        expected = "socketcan:NAME; others are set up when opened"
-        raise BusError("has no interface to set up", spec, expected)
+        expected_text = "socketcan:NAME; others are set up when opened"
+        raise BusError("has no interface to set up", spec, expected_text)
     exists = channel in interface_names()
     if not exists and not channel.startswith("vcan"):
         raise BusError(
@@ -106,5 +106,5 @@ def _run_command(command: CommandWords) -> None:
         raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
     if process_result.returncode:
         reason = " ".join((process_result.stderr or process_result.stdout).split())
-        expected = "an interface of the kernel, and its driver's bit rates"
-        raise BusError(f"failed: {reason}", text, expected)
+        expected_text = "an interface of the kernel, and its driver's bit rates"
+        raise BusError(f"failed: {reason}", text, expected_text)

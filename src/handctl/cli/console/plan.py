@@ -58,7 +58,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
 
 
 def _print_plan(args: argparse.Namespace, plan: run_plan.RunPlan) -> None:
-    """Print the details of a plan if ``--verbose`` is given."""
+    """Print hand, control rate, bus loads and hints of a planned run if ``--verbose`` is given."""
     hand = plan.hand
     print_detail(
         f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons"

@@ -127,12 +127,12 @@ def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
     Returns:
         the motor type, or None if the operator gives no answer.
     """
-    types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
-    if answer is not None or not types:
+    motor_types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
+    if answer is not None or not motor_types:
         return answer
-    names = ", ".join(types)
+    names = ", ".join(motor_types)
     question = HandQuestion(
-        "motor_type", f"Type of the motors ({names})", reader_of_choice(types), names
+        "motor_type", f"Type of the motors ({names})", reader_of_choice(motor_types), names
     )
     default = PROTOCOL_TRAITS[protocol or ""].options["motor_type"]
     return str(ask_question(question, default, default))

@@ -34,8 +34,8 @@ def apply_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
-    level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
-    token = _current_verbosity.set(level)
+    verbosity = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
+    token = _current_verbosity.set(verbosity)
     cautions = _printed_cautions.set(set())
     try:
         yield

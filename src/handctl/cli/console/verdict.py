@@ -102,7 +102,7 @@ def _value_with_unit(value: float, display_factor: float, unit: str, digits: int
 def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a row of results that states how far the support of the object sank, and how far the object then moved.
 
-    If the support did not sink, return no row.
+    If the support did not sink, return an empty list.
     """
     table_sunk_mm = run_result["table_sunk_mm"]
     object_slid_mm = run_result["object_slid_mm"]

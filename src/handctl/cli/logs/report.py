@@ -20,10 +20,12 @@ def run(args: argparse.Namespace) -> int:
         truth = find_truth(args.truth, args.log, log)
         offset = log.header.truth_offset_ns
         with progress_bar("drawing", quiet=args.json):
-            size = write_page(output_path, log, logged_hand(log), truth, offset, args.log.name)
+            page_bytes = write_page(
+                output_path, log, logged_hand(log), truth, offset, args.log.name
+            )
         code = warn_if_lossy(args.log, log.warning)
     if args.json:
-        print_json({"log": str(args.log), "page": str(output_path), "bytes": size})
+        print_json({"log": str(args.log), "page": str(output_path), "bytes": page_bytes})
     else:
-        print_escaped(f"{output_path}: {size / 1e6:.1f} MB")
+        print_escaped(f"{output_path}: {page_bytes / 1e6:.1f} MB")
     return code

@@ -46,15 +46,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print the value, the source, the meaning and the bounds of every gain."""
-    layers = gains_with_sources(args, hand)
-    values = values_by_key(layers.gains)
+    gains_and_sources = gains_with_sources(args, hand)
+    values = values_by_key(gains_and_sources.gains)
     gain_bounds = {key: checked_gain_bounds(key, value, "gains") for key, value in values.items()}
-    provenance = layers.provenance
+    provenance = gains_and_sources.provenance
     if args.json:
         rows = {
             key: {
                 "value": value,
-                "origin": layers.origins[key],
+                "origin": gains_and_sources.origins[key],
                 "bounds": str(gain_bounds[key]),
                 "live": gain_bounds[key].is_changeable_live,
                 "meaning": gain_meaning(gain_bounds[key]),
@@ -64,7 +64,8 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
         print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
         return ExitCode.DONE
     print_escaped(
-        f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance)
+        f"# gains of {hand.name}: {gains_and_sources.file or 'packaged'}"
+        + _provenance_text(provenance)
     )
     for key, value in values.items():
         when = (
@@ -72,7 +73,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
             if gain_bounds[key].is_changeable_live
             else "changes before arming"
         )
-        print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
+        print_escaped(f"{key:<38} {value:<10g} {gains_and_sources.origins[key]}")
         if not is_quiet():
             print_escaped(
                 f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}."

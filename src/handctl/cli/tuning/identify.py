@@ -258,7 +258,7 @@ def _report_results(
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     date_text = utc_now_text()
-    identified = previous_identified_parameters(
+    identified_parameters = previous_identified_parameters(
         path, hand, calibration.drive if calibration else {}, print_notice
     )
     all_results = [tendon for tendons in results_of_log.values() for tendon in tendons.values()]
@@ -281,8 +281,8 @@ def _report_results(
         any_identified = any_identified or any(
             new_entry is not None for new_entry in new_entries.values()
         )
-        identified |= {
-            name: new_entry.merge_older_parameters(identified.get(name))
+        identified_parameters |= {
+            name: new_entry.merge_older_parameters(identified_parameters.get(name))
             for name, new_entry in new_entries.items()
             if new_entry is not None
         }
@@ -292,7 +292,9 @@ def _report_results(
         and (any_identified or not (blocked_events or contact_by_digit))
     )
     if calibration is not None and is_written:
-        write_calibration(path, calibration.model_copy(update={"identified": identified}))
+        write_calibration(
+            path, calibration.model_copy(update={"identified": identified_parameters})
+        )
     pictures = _draw_pictures(
         hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails

@@ -145,7 +145,7 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return the steps for a digit.
+    """Return the excitation steps of a digit.
 
     The steps are a tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle.
     """
@@ -230,9 +230,11 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
     upper = min(digit_file.joint_max_deg)
     low = math.radians(lower + SWEEP_MARGIN_DEG)
     high = math.radians(min(lower + SWEEP_TOP_DEG, upper - SWEEP_MARGIN_DEG))
-    count = DigitModel.from_hand(hand, digit).coupling.shape[1]
+    coordinate_count = DigitModel.from_hand(hand, digit).coupling.shape[1]
     high = float(
-        highest_clear_coordinates(hand, digit, np.full(count, low), np.full(count, high))[0]
+        highest_clear_coordinates(
+            hand, digit, np.full(coordinate_count, low), np.full(coordinate_count, high)
+        )[0]
     )
     if high - low < math.radians(MIN_SWEEP_DEG):
         problem = f"touches another digit at {math.degrees(high):.0f} deg"

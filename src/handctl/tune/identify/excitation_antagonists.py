@@ -292,10 +292,10 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
 
     The tendons are stretched while the digit is pressed against its lower stops.
 
-    All spool pairs of a digit are stretched at once. In a digit without spool pairs, all tendons
-    that open the digit are stretched at once. Then each tendon that closes the digit is stretched
-    alone. The torque of the closing tendon stays small enough for the opening tendons to hold the
-    digit open.
+    All spool pairs of a digit are stretched at the same time. In a digit without spool pairs, all
+    tendons that open the digit are stretched at the same time. Then each tendon that closes the
+    digit is stretched alone. The torque of the closing tendon stays small enough for the opening
+    tendons to hold the digit open.
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

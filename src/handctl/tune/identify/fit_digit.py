@@ -268,8 +268,8 @@ def fits_with_digit_solution(
 ) -> list[TendonFit]:
     """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
-    The fit of each tendon gets the capstan coefficient of this tendon. The fit of the first tendon
-    also gets the factors that all tendons share.
+    The fit of each tendon gets the capstan coefficient of this tendon. The factors that all tendons
+    of the digit share are added only to the fit of the first tendon.
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]
@@ -324,15 +324,17 @@ def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
     the time over which signals are averaged.
     """
     x = data.travel
-    step = 2 * half_window
+    step_samples = 2 * half_window
     speed = np.full(len(x), np.nan)
     acceleration = np.full(len(x), np.nan)
-    values_after = x[2 * step :]
-    values_before = x[: -2 * step]
-    centre = x[step:-step]
-    speed[step:-step] = (values_after - values_before) / (2 * step * data.period)
-    acceleration[step:-step] = (values_after - 2.0 * centre + values_before) / (
-        step * data.period
+    values_after = x[2 * step_samples :]
+    values_before = x[: -2 * step_samples]
+    centre = x[step_samples:-step_samples]
+    speed[step_samples:-step_samples] = (values_after - values_before) / (
+        2 * step_samples * data.period
+    )
+    acceleration[step_samples:-step_samples] = (values_after - 2.0 * centre + values_before) / (
+        step_samples * data.period
     ) ** 2
     return speed, acceleration
 

@@ -2,8 +2,9 @@
 
 The model applies to a digit that is at its open stop or moves freely.
 
-At the open stop of a digit, the joints rest and only the tendon stretches: f = k (x - o). In free
-motion, the torques at each joint are in balance:
+At the open stop of a digit, the joints rest and only the tendon stretches. With the stiffness k,
+the tension is then f = k (x - o), for a spool travel x with the offset o. In free motion, the
+torques at each joint are in balance:
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 

@@ -107,7 +107,8 @@ class WindowWeights(NamedTuple):
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
         """Return the mean, the first derivative and the second derivative of a signal.
 
-        The signal is given in windows, with the shape (..., n). Each result has the shape (...).
+        The signal is given in windows of n samples, with the shape (..., n). Each result has one
+        value per window, with the shape (...).
         """
         # Integration by parts replaces the derivative of the signal by the negative derivative of
         # the window function.

@@ -7,9 +7,10 @@
 F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
 the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
 of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
-the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
-if F exceeds twice the pretension p. At a tension called the knee, the stiffness of a tendon
-changes. Beyond the knee, the stiffness in the hand file is multiplied by the same factor as k.
+the stretch at a net tension F. Each tendon has the stiffness k. While both tendons are taut, the
+stiffness of the pair is 2 k. If F exceeds twice the pretension p, one tendon is slack, and the
+stiffness of the pair is k. At a tension called the knee, the stiffness of a tendon changes. Beyond
+the knee, the stiffness in the hand file is multiplied by the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -290,17 +291,17 @@ def _stretch_readings(
         has_reading, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0
     )
     weight = weights.mean * has_reading[window_rows]
-    total = np.maximum(weight.sum(axis=1), 1e-12)
-    travel = (data.travel[window_rows] * weight).sum(axis=1) / total
+    weight_sum = np.maximum(weight.sum(axis=1), 1e-12)
+    travel = (data.travel[window_rows] * weight).sum(axis=1) / weight_sum
     count = has_reading[window_rows].sum(axis=1)
     is_on_stop = data.stop[window_rows].all(axis=1)
     travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
     known_stretch = np.where(
-        count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
+        count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / weight_sum, np.nan
     )
     # The number of readings is an effective number, because the window gives different weights to
     # the readings.
-    return travel, known_stretch, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
+    return travel, known_stretch, weight_sum**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:

@@ -160,7 +160,7 @@ class TendonFitProblem:
         """Return the scaled parameters at which the fit starts (15 + k,).
 
         The first 15 parameters start at the values from `parameter_scales`. The stretch offset is
-        an exception, and starts at an estimate from the data. The other k parameters describe the
+        an exception, and starts at an estimate from the data. The last k parameters describe the
         drift of the load cell, and start at zero.
         """
         first_parameters = np.ones(len(PARAMETER_NAMES))
@@ -188,8 +188,8 @@ class TendonFitProblem:
     def _initial_stretch_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        The estimate uses the data at the open stop. Without data at the open stop, the estimate is
-        the smallest travel in free motion.
+        If there are data at the open stop of the digit, the offset is estimated from these data.
+        Otherwise the estimated offset is the smallest travel in free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.open_stop_bins.t):
@@ -339,9 +339,9 @@ class TendonFit:
 
         Each half width has the unit of its parameter.
         """
-        return self.half_widths_of(1)
+        return self.simultaneous_half_widths(1)
 
-    def half_widths_of(self, parameter_count: int) -> dict[str, float]:
+    def simultaneous_half_widths(self, parameter_count: int) -> dict[str, float]:
         """Return half of the width of each parameter's simultaneous confidence interval.
 
         With a probability of 95 %, all of `parameter_count` parameters are in their intervals at

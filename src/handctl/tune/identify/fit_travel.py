@@ -6,9 +6,9 @@ The travel x of the spool is the sum of the joints' excursion s(q) and the tendo
 At a tension called the knee, the stiffness of a tendon changes. The linear tension f_l is the
 tension that a tendon without a knee would have at the same stretch. The factor m multiplies the
 moment arms of the hand file. The joint encoders are read a short time d before or after the motor
-encoders. While the spool turns with the speed x', the time difference d adds the term d x'. The
-offset o follows the drift of the load cell. The equation of the travel contains neither joint stops
-nor return springs.
+encoders. At the travel speed x', the travel changes by d x' during this time. The offset o follows
+the drift of the load cell. The equation of the travel contains neither joint stops nor return
+springs.
 """
 
 from dataclasses import replace

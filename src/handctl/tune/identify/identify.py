@@ -162,7 +162,9 @@ class TendonResult:
         values = self.fit.parameter_values
         half_widths = self.fit.half_widths
         nominal = self.fit.problem.parameter_scales
-        simultaneous_half_widths = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
+        simultaneous_half_widths = self.fit.simultaneous_half_widths(
+            max(1, len(self.identifiability.names))
+        )
         rows = {
             name: {
                 "value": values[name],
@@ -283,10 +285,7 @@ def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> Tendo
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
-    """Return a text that describes a contact during the sweeps.
-
-    If there was no contact, the text is empty.
-    """
+    """Return a text that describes a contact during the sweeps, or an empty text if there was no contact."""
     residual_ramp = result.fit.ramp
     if residual_ramp is not None and residual_ramp.is_contact:
         has_several_tendons = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
@@ -361,9 +360,9 @@ def _digit_fits(
 ) -> tuple[TorqueBalance | None, list[TendonFit]]:
     """Return the fits of the tendons of a digit.
 
-    If the digit has several tendons, springs and friction come from the fit of the whole digit. The
-    first returned value is the data for the fit of the whole digit. If the whole digit is not
-    fitted, the first value is None.
+    If a digit without spool pairs has several tendons, and all tendons have data, a fit of the
+    whole digit identifies springs and friction. The first returned value is the data for the fit of
+    the whole digit. If the whole digit is not fitted, the first value is None.
     """
     fits = [fit for _, fit in data_and_fits]
     digit = DigitModel.from_hand(hand, name)
@@ -470,7 +469,7 @@ def _parameter_summary_lines(result: TendonResult) -> list[str]:
     """Return lines about all parameters of a tendon together: simultaneous intervals, combinations, correlations."""
     names = result.identified_names
     half_widths = result.fit.half_widths
-    simultaneous_half_widths = result.fit.half_widths_of(max(1, len(names)))
+    simultaneous_half_widths = result.fit.simultaneous_half_widths(max(1, len(names)))
     width_ratios = [simultaneous_half_widths[name] / half_widths[name] for name in names]
     lines = []
     if width_ratios:

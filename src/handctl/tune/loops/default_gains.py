@@ -37,11 +37,12 @@ With a smaller force, a digit of four joints did not follow its motion (N04) in 
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    A packaged hand keeps its packaged gains. A digit of another hand keeps the packaged force if its
-    motion loops have a sufficient gain margin, see ``MIN_PACKAGED_MARGIN_DB``, or if no smaller force
-    leads to one. ``handctl config check`` warns about the latter. For all other digits, the force is
-    reduced. The largest force of all digits is ``motion.force_N``, and tendons of digits with a smaller
-    force get a force of their own.
+    A packaged hand keeps its packaged gains. A digit of another hand keeps the packaged force if
+    its motion loops have a sufficient gain margin, see ``MIN_PACKAGED_MARGIN_DB``. A digit also
+    keeps the packaged force if no smaller force leads to a sufficient gain margin. ``handctl config
+    check`` warns about digits without a sufficient gain margin. For all other digits, the force is
+    reduced. The largest force of all digits is ``motion.force_N``, and tendons of digits with a
+    smaller force get a force of their own.
 
     Args:
         hand: description of the hand.
@@ -89,7 +90,8 @@ def _default_forces(hand: Hand, gains: Gains, rate_hz: float) -> dict[str, float
 def _first_with_margin(candidate_count: int, has_margin: Callable[[int], bool]) -> int | None:
     """Return the index of the first candidate with a sufficient margin, or None if the last has none.
 
-    The margin increases while the force decreases, so that a bisection finds the candidate.
+    Each candidate is a smaller force than the candidate before, and has a larger margin. Therefore
+    the function finds the first sufficient candidate by bisection.
 
     Args:
         candidate_count: number of candidates. The first candidate has no sufficient margin.

@@ -288,7 +288,7 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with the given gains of both loops. The filter of the model stays unchanged."""
+    """Return the model with the given gains of both control loops, and an unchanged design of its Kalman filter."""
     return replace(
         model, gains=gains, motion_design=design_motion(model.tendon_constants, gains, model.period)
     )
@@ -541,7 +541,8 @@ def _largest_force(
     The search begins with the smallest possible force. Even the smallest force can violate the
     margins: if the feedback without the integrator is too weak, the integrator makes the tendon
     oscillate. After the first force that keeps the margins, the force is increased until a margin
-    is violated. The interval of the last increase is then bisected. Larger forces are not tried.
+    is violated. A bisection between the last two forces then refines the result. Larger forces are
+    not tried.
     """
 
     def has_required_margins(force_logarithm: float) -> bool:

@@ -102,11 +102,11 @@ class LinearSystem:
     def frequency_response(self, omega: Matrix) -> NDArray[np.complex128]:
         """Return the frequency response (len(omega),) of a system with one input and one output.
 
-        By the determinant lemma, 1 + C (zI - A)^-1 B = det(zI - A + BC) / det(zI - A). A
-        determinant is the product of the distances from z to the eigenvalues. Therefore the
-        eigenvalues of A - BC and of A give the response at all frequencies. Solving a system of
-        equations for each frequency would take 20 times as long. For the packaged hands, the error
-        of the frequency response is below 1e-9 of 1 + L.
+        By the determinant lemma, 1 + C (zI - A)^-1 B = det(zI - A + BC) / det(zI - A). The
+        determinant of zI - A is the product of the differences between z and the eigenvalues of A.
+        Therefore the eigenvalues of A - BC and of A give the response at all frequencies. Solving a
+        system of equations for each frequency would take 20 times as long. For the packaged hands,
+        the error of the frequency response is below 1e-9 of 1 + L.
 
         Args:
             omega: angular frequencies [rad/s].
@@ -476,7 +476,8 @@ def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
     If the coupling and the joint limits allow the angle `OPERATING_ANGLE_RAD`, all joints have this
-    angle. If not, the result is the point that is farthest from all joint limits.
+    angle. Otherwise the returned coordinates are those of the point that is farthest from all joint
+    limits.
     """
     low = digit.joint_min
     high = digit.joint_max

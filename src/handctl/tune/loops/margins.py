@@ -1,10 +1,10 @@
 """Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
-A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
-The tests compare the calculated margins with the results of the Python package `control`. The
-eigenvalues of the closed loop confirm the reported margins. If the gain, the phase or the delay of
-a loop changes by less than its margin, no pole reaches the unit circle. Source: balanced disk
-margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
+A search needs thousands of margins. To keep a search fast, this module calculates each margin from
+a frequency response. The tests compare the calculated margins with the results of the Python
+package `control`. The eigenvalues of the closed loop confirm the reported margins. If the gain, the
+phase or the delay of a loop changes by less than its margin, no pole reaches the unit circle.
+Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
 import math
@@ -85,9 +85,9 @@ class LoopMargins:
     def shortfall(self) -> float:
         """Return the larger of two shortfalls: of the gain margin and of the phase margin.
 
-        The shortfall of a margin is the fraction of the required margin that is missing. If both
-        margins are sufficient, the result is 0 or less. If the loop is unstable, the result is 1 or
-        more.
+        The shortfall of a margin is the fraction of the required margin that is missing. The
+        returned shortfall is 0 or less if both margins are sufficient, and 1 or more if the loop is
+        unstable.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -239,9 +239,9 @@ def _largest_confirmed_margin(
 ) -> float:
     """Reduce the margin of a linear model to the largest value that the eigenvalues confirm, and return the value.
 
-    The function tests several fractions of the margin. All fractions up to the result are
-    confirmed. The function does not test the last hundredth of a margin, because the frequency
-    response is interpolated.
+    The function tests several fractions of the linear margin, in ascending order. The eigenvalues
+    confirm every tested fraction up to the result. The function does not test the last hundredth of
+    a margin, because the frequency response is interpolated.
     """
     tried_margins = linear_margin * np.linspace(0.0, 0.99, step_count + 1)[1:]
     for previous_margin, tried_margin in zip(

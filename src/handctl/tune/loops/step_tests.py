@@ -153,7 +153,7 @@ class StepOscillation:
 def simulate_swing(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
-    """Execute the step of the angles and the step of the tensions on a simulated plant, and return the oscillations.
+    """Simulate a step of the joint angles and a step of the tensions, and return the oscillations after both steps.
 
     Args:
         hand: description of the simulated hand.

@@ -3,9 +3,9 @@
 The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
 the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
 study and the number of the batch. Because of the batches, the result does not depend on the number
-of processes. Batches also make it possible to resume an interrupted study. A resumed study begins
-with the trials of the last batch that have no score yet. If a batch was only partly requested, the
-whole batch is requested again.
+of processes. Because of the batches, an interrupted study can also be resumed. A resumed study
+begins with the trials of the last batch that have no score yet. If a batch was only partly
+requested, the whole batch is requested again.
 """
 
 import fcntl
@@ -58,8 +58,8 @@ class SearchPlan:
     def gains_of(self, trial_number: int, gain_values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The first trial has exactly the gains of the plan. The gains of the plan can be outside of
-        the search space.
+        The first trial has exactly the gains from the search plan, even if these gains are outside
+        of the search space.
         """
         return gains_with_values(self.gains, gain_values, "study") if trial_number else self.gains
 
@@ -243,7 +243,7 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
 
 
 def _open_study(plan: SearchPlan, path: Path) -> Any:
-    """Open the study of a plan in a journal. If the journal contains no study, start the study there.
+    """Open the Optuna study of a search in a journal file. If the file contains no study, create the study.
 
     Raises:
         ConfigError: the journal cannot be used, or contains another search.
