@@ -40,7 +40,7 @@ def gravity_and_spring_torque(
 def springs_without_gravity(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
-    """Return the feedforward torque that balances the springs, without gravity."""
+    """Return the feedforward joint torques that balance the springs, but not gravity."""
     return spring_torque(digit, q)
 
 

@@ -3,12 +3,13 @@
 The error of the reference filter is not a lower bound. A filter that is made for a hand with less
 noise, or that has more inputs, can have a smaller error.
 
-The filter has seven states per tendon. Four states are the travel and speed of the tendon at the
-spool, and the excursion and its rate at the joints. The other states are random forces on motor and
-joint (Gauss-Markov processes), and the stretch offset. The measurements are load cell and encoder.
-Constants of this module describe the disturbances. The filter is computed either for a digit that
-moves freely against its springs, or for a digit that presses on a stiff object. ``scipy`` computes
-the reference filter, independently of the filter design in the controller.
+The filter has seven states per tendon: travel and speed at the spool, excursion and excursion rate
+at the joints, two disturbance forces, and the stretch offset. One disturbance force acts on the
+motor, and the other on the joint. Both disturbance forces and the stretch offset are Gauss-Markov
+processes. The filter measures the tension by the load cell, and the travel at the spool by the
+motor encoder. Constants of this module describe the disturbances. The filter is computed either for
+a digit that moves freely against its springs, or for a digit that presses on a stiff object.
+``scipy`` computes the reference filter, independently of the filter design in the controller.
 """
 
 import numpy as np

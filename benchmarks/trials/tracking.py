@@ -182,8 +182,9 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 def tune_weights(plan: JobPlan) -> None:
     """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
-    For all weights, print the error of the fast motion and whether the weights keep the stability
-    margins. After the last trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
+    Each candidate is a pair of LQR weights. For each candidate, print the tracking error of the
+    fast motion, and whether the control loop keeps the required stability margins. After the last
+    trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))

@@ -107,7 +107,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
 
 
 def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Return the conclusion that the section on tracking draws from the numbers in a result."""
+    """Return the conclusion of the page's section on tracking, with the numbers of a benchmark result."""
     best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (
         f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed_row, best_row)}\n\nEach entry is the "
@@ -146,9 +146,10 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Return a text with the ratio of a reduction of the tracking error to its standard deviation.
+    """Return a text that states the ratio of ``error_reduction`` to the standard deviation ``error_sigma``.
 
-    The standard deviation is computed over the seeds. With a single seed, there is no standard
+    Both arguments are in degrees. The standard deviation of the tracking error is computed over the
+    seeds of the benchmark runs. With a single seed, the text states that there is no standard
     deviation.
     """
     return (
@@ -246,7 +247,8 @@ def _plant_mismatch_table(
 def _error_increase_text(plants: dict, law_name: str) -> str:
     """List by how much each change of the simulated hand raises the tracking error of a control law.
 
-    The error is measured in the fast motion. The list begins with the largest rise of the error.
+    The tracking error is the root mean square error during the fast motion, the fastest of three
+    test motions. The list begins with the largest rise of the error.
     """
     nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
     error_rise_by_plant = {

@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. The rows of the array and the objects have the same attributes.
+rotors are objects in a list. A row of the array has the same attributes as an object of the list.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
@@ -199,8 +199,9 @@ def _add_tendon_torques(
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
     """Compensate the damping torque of a tendon, which MuJoCo will subtract from ``torque`` [N m].
 
-    The kernel adds the damping torque that MuJoCo will subtract. MuJoCo and the kernel both compute
-    the damping torque with the mean moment arms.
+    In its next step, MuJoCo subtracts a damping torque for the tendon. This function adds the same
+    torque beforehand, so that both cancel out. MuJoCo and this function both compute the damping
+    torque with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):

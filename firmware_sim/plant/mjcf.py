@@ -87,7 +87,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     hand come first, and the free joint of the object follows. The contacts in the model are softer
     than in the source (MODEL, section 6), which gives a solref of 0.002. With a solref of 0.002,
     the penetration in a grasp would be less than the error of the collision detector, so contacts
-    would vanish for single steps. Source of the other settings: MODEL, section 6.
+    would vanish for single steps. Section 6 of the document MODEL is also the source of all other
+    MuJoCo settings.
 
     Args:
         hand: description of the hand.
@@ -129,7 +130,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return for each digit whether it closes against the first digit that can close.
 
-    For example, if the first digit is a finger, the value of the thumb is True.
+    For example, if the first digit is a finger and the thumb closes against the finger, the value
+    for the thumb is True.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -360,7 +362,8 @@ def _collision_bits_of_digit(is_opposed: bool, is_near_palm: bool) -> tuple[int,
 def _collision_bits_of_carrier() -> tuple[int, int]:
     """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
-    The links of a carrying digit have the same category and affinity as the palm.
+    In MuJoCo, the category is ``contype`` and the affinity is ``conaffinity``. A digit that carries
+    other digits, such as a wrist, collides with the same bodies as the palm.
     """
     return PALM_COLLISION_BIT, OBJECT_COLLISION_BIT
 
@@ -410,13 +413,14 @@ def _tendon_element(tendon: TendonSpec) -> str:
 def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons of a digit with spool pairs.
 
-    The loopback tendons make the joints obey the coupling matrix B of the digit.
+    A spool pair is two antagonistic tendons on one spool. A digit with spool pairs has no springs.
+    Spool pairs alone would allow coupled joints to turn against each other. In a real hand, a
+    loopback tendon or a bar between the joints prevents this motion.
 
-    A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
-    could turn against each other. In a real hand, a loopback tendon or a bar couples the coupled
-    joints. Let c be a vector with B^T c = 0. The coupling keeps the sum of the joint angles,
-    weighted by the elements of c, constant. In the model, each vector c is a tendon, and
-    ``_equality_element`` keeps the length of this tendon constant.
+    The model has loopback tendons, so that the joint angles q follow the coupling matrix B of the
+    digit. Let c be a vector with B^T c = 0. The coupling keeps the weighted sum c^T q constant. In
+    the model, a loopback tendon represents each vector c, and ``_equality_element`` keeps the
+    length of this tendon constant.
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of

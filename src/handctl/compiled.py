@@ -362,7 +362,8 @@ def _compile_together(
 ) -> None:
     """Compile kernels into a folder, with one process for each processor core.
 
-    During the compilation, a lock makes other processes wait before they use the folder.
+    During the compilation, a file lock on ``folder`` makes other processes wait before they use the
+    compiled code.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 

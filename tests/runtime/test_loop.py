@@ -528,7 +528,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop stores the lateness of each of its last ticks.
+    """The control loop stores the lateness of only its last ``LATENESS_RING_TICKS`` ticks.
 
     At 500 Hz, the lateness of all ticks of a day would take 330 MiB of locked memory.
     """

@@ -149,7 +149,8 @@ def _check_bending() -> ErrataItem:
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
     """Return the normal forces (3,) [N] that act at the middles of three links.
 
-    The normal forces balance the tendon, which runs over equal pulleys.
+    The normal forces balance the joint torques of a tendon with the given tension [N]. At each
+    joint, the tendon runs over a pulley of the same radius.
     """
     lengths = np.array(paper_digit("index").lengths)
     link_angles = np.cumsum(np.radians(angles_deg))

@@ -119,7 +119,8 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
 def _check_phalanges() -> ErrataItem:
     """Check whether the energy of each link is independent of the motion of the other links.
 
-    If the links were separate fingers, the energies would be independent.
+    The paper describes the three links as three fingers. If the links were separate fingers, the
+    energy of a link would not depend on the motion of the other links.
     """
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.

@@ -39,7 +39,8 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
 def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
-    The table contains the visibility of each failure with each drive protocol.
+    For each failure and each drive protocol, the table states whether the failure is detected,
+    replaced by a weaker sign, or lost.
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
@@ -81,17 +82,18 @@ def _ticks_text(row: CatalogueRow) -> int:
 
 
 def reacts_too_late(row: CatalogueRow) -> bool:
-    """Return True if a row has a later reaction than the project's fault catalogue allows.
+    """Return True if the reaction to a failure can take more ticks than the project's fault catalogue requires.
 
-    If the catalogue states no time for the row, the result is False.
+    If the project's fault catalogue requires no reaction time for the failure, the result is False.
     """
     return 0 < row.required < _ticks_text(row)
 
 
 def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return as Markdown all catalogue rows with a later reaction than allowed, with the reasons.
+    """Return a Markdown table of the failures to which handctl can react later than required.
 
-    The project's fault catalogue states the allowed reaction times.
+    The project's fault catalogue requires the reaction times. The table states the reason for each
+    late reaction.
     """
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
