@@ -199,10 +199,10 @@ def _mean_over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
         name: float(np.mean([row[name] for row in good_rows])) if good_rows else float("nan")
         for name in names
     }
-    spread = float(np.std([row["rmse_N"] for row in good_rows])) if good_rows else float("nan")
+    rmse_sigma = float(np.std([row["rmse_N"] for row in good_rows])) if good_rows else float("nan")
     end_reasons = sorted({row["why"] for row in rows if row["why"]})
     return mean | {
-        "rmse_spread_N": spread,
+        "rmse_spread_N": rmse_sigma,
         "seeds": len(rows),
         "ended": len(rows) - len(good_rows),
         "why": end_reasons,

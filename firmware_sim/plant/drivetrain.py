@@ -273,7 +273,7 @@ def compute_command(rotor: Any) -> None:
     to its value at the end of the step.
     """
     servo = rotor.own_servo
-    filter_fraction = rotor.lag
+    current_lag = rotor.lag
     gain = rotor.gain
     smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)
     # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains the
@@ -294,11 +294,11 @@ def compute_command(rotor: Any) -> None:
         impedance = servo.kd + rotor.step * servo.kp
         push = (
             inertia * rotor.omega
-            + gain * ((1.0 - filter_fraction) * rotor.torque + filter_fraction * command_at_rest)
+            + gain * ((1.0 - current_lag) * rotor.torque + current_lag * command_at_rest)
             - drag
         )
         command = command_at_rest - impedance * push / (
-            inertia + rotor.viscous + gain * filter_fraction * impedance
+            inertia + rotor.viscous + gain * current_lag * impedance
         )
     if command > limit:
         command = limit

@@ -104,7 +104,9 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
         friction=friction,
         palm_category=PALM_COLLISION_BIT if scene.palm_contact else 0,
     )
-    opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
+    is_digit_opposed = dict(
+        zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True)
+    )
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
         _table_element(scene.grasp_object, scene.support, hand.gravity)
         if scene.grasp_object
@@ -119,9 +121,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal_force_sensor(hand, digit) for digit in hand.digits)
+    palm = _palm_element(hand, "", is_digit_opposed, mesh_by_link)
     model_start = f'<mujoco model="{hand.name}">{options}{_mesh_assets(mesh_by_link)}'
     return (
-        f"{model_start}<worldbody>\n{_palm_element(hand, '', opposed, mesh_by_link)}\n{scene_bodies}</worldbody>\n"
+        f"{model_start}<worldbody>\n{palm}\n{scene_bodies}</worldbody>\n"
         f"<tendon>{tendons}{''.join(loopback_by_name.values())}</tendon>\n{_equality_element(loopback_by_name)}"
         f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
@@ -277,7 +280,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     close to the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
-    carriers = [
+    carrier_digits = [
         carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
     ]
     fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
@@ -286,7 +289,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
         points = position + fractions * (length * rotation[:, 0])
         distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
         is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())
-        for carrier_digit in carriers:
+        for carrier_digit in carrier_digits:
             # The link that carries the digit is a capsule along the x axis of its own frame.
             nearest_points = np.clip(points[:, :1], 0.0, carrier_digit.length[-1]) * np.array(
                 [1.0, 0.0, 0.0]

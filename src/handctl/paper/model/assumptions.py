@@ -75,11 +75,11 @@ def _check_coupling() -> list[ErrataItem]:
     tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
-    arms = src.paper_hand().moment_arms[
+    moment_arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
-    # The variable `free` is the number of joint motions that no tendon controls.
-    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(arms))
+    # The variable `free_dimensions` is the number of joint motions that no tendon controls.
+    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(moment_arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",

@@ -40,7 +40,7 @@ class Expression:
         return ast.parse(self.text, mode="eval").body
 
     @property
-    def names(self) -> frozenset[str]:
+    def quantity_names(self) -> frozenset[str]:
         """Return the names of the quantities in the formula, without the names of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})

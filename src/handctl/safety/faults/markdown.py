@@ -57,7 +57,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
         or row.checked_by
     )
     latest_reaction_text = (
-        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_max_reaction_ticks(row)} ticks"
     )
     latest_reaction_text += (
         f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
@@ -77,7 +77,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
     )
 
 
-def _ticks_text(row: CatalogueRow) -> int:
+def _max_reaction_ticks(row: CatalogueRow) -> int:
     return round(row.max_reaction_time_ms(CATALOGUE_RATE_HZ) * CATALOGUE_RATE_HZ / 1e3)
 
 
@@ -86,7 +86,7 @@ def reacts_too_late(row: CatalogueRow) -> bool:
 
     If the project's fault catalogue requires no reaction time for the failure, the result is False.
     """
-    return 0 < row.required < _ticks_text(row)
+    return 0 < row.required < _max_reaction_ticks(row)
 
 
 def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
@@ -96,7 +96,7 @@ def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE)
     late reaction.
     """
     rows = [
-        f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
+        f"| {e.id} | {e.title} | {e.required} | {_max_reaction_ticks(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
         f"| {e.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {e.why} |"
         for e in entries
         if reacts_too_late(e)
