@@ -320,11 +320,11 @@ def _mean_over_seeds(run_rows: list[dict]) -> dict:
         else float("inf")
         for name in names
     }
-    spread = (
+    rmse_sigma = (
         float(np.std([row["rmse_deg"] for row in good_run_rows])) if good_run_rows else float("nan")
     )
     return mean | {
-        "rmse_spread_deg": spread,
+        "rmse_spread_deg": rmse_sigma,
         "seeds": len(run_rows),
         "ended": len(run_rows) - len(good_run_rows),
         "why": end_reasons,

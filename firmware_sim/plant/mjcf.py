@@ -458,7 +458,7 @@ def _equality_element(loopback_names: Iterable[str]) -> str:
 def _contact_sensor(hand: Hand, digit: Digit) -> str:
     """Build the MuJoCo sensor that measures the total contact force on a digit."""
     return (
-        f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} '
+        f'<contact name="contact/{digit.name}" {_contact_bodies_attribute(hand, digit)} '
         'num="1" reduce="netforce" data="force"/>'
     )
 
@@ -469,12 +469,13 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
     Axis 1 of each measured force is along the normal of the contact.
     """
     return (
-        f'<contact name="normal/{digit.name}" {_touch_sensors(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
+        f'<contact name="normal/{digit.name}" {_contact_bodies_attribute(hand, digit)} geom2="object"'
+        f' num="{MAX_CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
     )
 
 
-def _touch_sensors(hand: Hand, digit: Digit) -> str:
+def _contact_bodies_attribute(hand: Hand, digit: Digit) -> str:
     """Return the MJCF attribute that selects the bodies whose contacts a sensor measures.
 
     The sensor measures the contacts of all links of a digit, but only of the last link if the digit

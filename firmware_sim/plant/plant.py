@@ -88,9 +88,9 @@ class Plant:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
         # In the dict below, a key is the index of the first tendon of a spool pair, and the value
         # is the index of the second tendon.
-        first_of_pair = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
+        first_tendons_of_pairs = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {
-            i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_of_pair)
+            i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_tendons_of_pairs)
         }
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)

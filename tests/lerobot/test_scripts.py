@@ -76,11 +76,11 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
     actions = np.array([dataset[i]["action"].numpy() for i in range(dataset.num_frames)])
     assert np.ptp(np.degrees(actions[:, 0])) > 10.0
 
-    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
+    replay_options = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
     run_script(
         "replay",
         *robot,
-        f"--robot.options={replay}",
+        f"--robot.options={replay_options}",
         *data,
         "--dataset.episode=0",
         "--play_sounds=false",

@@ -205,16 +205,23 @@ def fake_stream(work_folder):
 
     class FakeTargetSender:
         def send(self, index, sent_ns, values):
-            sent.append(values.tolist())
+            sent_targets_deg.append(values.tolist())
             return True
 
         def close(self):
             pass
 
-    sent = []
-    goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
+    sent_targets_deg = []
+    stream_request = {
+        "stream": "1-1",
+        "names": ["index_j1", "thumb_j1"],
+        "rate_Hz": 100.0,
+        "space": "joint",
+    }
     owner = SimpleNamespace(description=load_hand("jamia"))
-    return TargetStream(owner, FakeTargetSender(), goal, "rad", 0.012, 1.0), sent
+    return TargetStream(
+        owner, FakeTargetSender(), stream_request, "rad", 0.012, 1.0
+    ), sent_targets_deg
 
 
 def test_values_are_checked_before_they_are_sent(fake_stream):

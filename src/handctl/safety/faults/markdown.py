@@ -89,20 +89,21 @@ def reacts_too_late(row: CatalogueRow) -> bool:
     return 0 < row.required < _max_reaction_ticks(row)
 
 
-def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+def late_reactions_markdown(catalogue_rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return a Markdown table of the failures to which handctl can react later than required.
 
     The project's fault catalogue requires the reaction times. The table states the reason for each
     late reaction.
     """
-    rows = [
-        f"| {e.id} | {e.title} | {e.required} | {_max_reaction_ticks(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
-        f"| {e.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {e.why} |"
-        for e in entries
-        if reacts_too_late(e)
+    table_rows = [
+        f"| {row.id} | {row.title} | {row.required} | {_max_reaction_ticks(row)} "
+        f"| {row.required * CATALOGUE_PERIOD_MS:g} ms "
+        f"| {row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {row.why} |"
+        for row in catalogue_rows
+        if reacts_too_late(row)
     ]
     title_line = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
-    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *rows])
+    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *table_rows])
 
 
 def hardware_checklist() -> str:
