@@ -40,7 +40,7 @@ def gravity_and_spring_torque(
 def springs_without_gravity(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
-    """Return the feedforward torque that balances the springs, without gravity."""
+    """Return the feedforward joint torques that balance the springs, but not gravity."""
     return spring_torque(digit, q)
 
 
@@ -102,7 +102,7 @@ weights.
 """
 
 
-def force_scale(rate_hz: float) -> float:
+def force_weight_factor(rate_hz: float) -> float:
     """Return the factor by which the benchmark multiplies the weight of the motor force at a control rate.
 
     At a low control rate, the controller reduces the weight of the motor force in the LQR cost. The
@@ -163,7 +163,7 @@ class AblationLaw:
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed_gains = {
-            "force_N": MOTION_FORCE_WEIGHT_N * force_scale(rate_hz),
+            "force_N": MOTION_FORCE_WEIGHT_N * force_weight_factor(rate_hz),
             "disturbance_rejection": 1.0,
             "tension_feedback": 0.3,
         }

@@ -117,7 +117,7 @@ def _conclusion_text(result: dict) -> str:
     """Return the conclusion that the section on the tension estimate draws from the numbers in a result."""
     passing_cases = []
     failing_cases = []
-    stricter_ratios = []
+    prediction_ratios = []
     for hand, plants in result["hands"].items():
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
             row = plants["as known"][regime]
@@ -127,7 +127,7 @@ def _conclusion_text(result: dict) -> str:
             (passing_cases if is_good else failing_cases).append(
                 f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
             )
-            stricter_ratios.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
+            prediction_ratios.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
     text = (
         f"At the sample, the error of the filter must be at most {MAX_ERROR_RATIO} times the reference, and NIS must "
         f"be between "
@@ -138,7 +138,7 @@ def _conclusion_text(result: dict) -> str:
     text += (
         "\n\nA stricter comparison divides the error of the prediction for the present by the reference at the "
         "sample, "
-        f"although the two errors belong to different instants. The ratios are: {', '.join(stricter_ratios)}. "
+        f"although the two errors belong to different instants. The ratios are: {', '.join(prediction_ratios)}. "
     )
     raw_text = "\n".join(
         f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in INSTANT_TEXT_BY_RATIO

@@ -27,18 +27,21 @@ def page_section(result: dict[str, Any]) -> str:
         "distance by which the tension exceeds the command, noise included.",
     ]
     for hand, plants in result["hands"].items():
-        rows = [_loop_row(law, row) for law, row in plants.get("as known", {}).items()]
+        rows = [_loop_row(loop_name, row) for loop_name, row in plants.get("as known", {}).items()]
         paragraphs += ["", markdown_table([hand, *COLUMN_BY_FIGURE.values(), "seeds"], rows)]
         other_plants = [plant for plant in plants if plant != "as known"]
         if other_plants:
-            laws = list(plants["as known"])
-            column_titles = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
+            loop_names = list(plants["as known"])
+            column_titles = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *loop_names]
             paragraphs += [
                 "",
                 markdown_table(
                     column_titles,
                     [
-                        [plant, *[_rmse_cell(plants[plant].get(law)) for law in laws]]
+                        [
+                            plant,
+                            *[_rmse_cell(plants[plant].get(loop_name)) for loop_name in loop_names],
+                        ]
                         for plant in other_plants
                     ],
                 ),
@@ -66,18 +69,18 @@ def _conclusion_text(result: dict[str, Any]) -> str:
     for hand, plants in result["hands"].items():
         without_estimate, raw_row, estimate_row = plants["as known"].values()
         margin = raw_row["rmse_N"] - estimate_row["rmse_N"]
-        spread = max(raw_row["rmse_spread_N"], estimate_row["rmse_spread_N"])
+        rmse_sigma = max(raw_row["rmse_spread_N"], estimate_row["rmse_spread_N"])
         comparison_text = (
             "better than"
-            if margin > 2 * spread
+            if margin > 2 * rmse_sigma
             else "worse than"
-            if margin < -2 * spread
+            if margin < -2 * rmse_sigma
             else "no better than"
         )
         texts.append(
             f"{hand}: the loop on the estimate is {comparison_text} the loop on the raw sensor (RMSE "
             f"{estimate_row['rmse_N']:.2f} and "
-            f"{raw_row['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
+            f"{raw_row['rmse_N']:.2f} N, spread {rmse_sigma:.2f} N). The error of the loop on the estimate is "
             f"{without_estimate['rmse_N'] / estimate_row['rmse_N']:.1f} "
             f"times smaller than without a loop. The loop on the estimate overshoots the step of 25 N by "
             f"{estimate_row['overshoot_N']:.1f} N, "
@@ -89,8 +92,8 @@ def _conclusion_text(result: dict[str, Any]) -> str:
         {
             w
             for plants in result["hands"].values()
-            for laws in plants.values()
-            for r in laws.values()
+            for row_by_loop in plants.values()
+            for r in row_by_loop.values()
             for w in r["why"]
         }
     )

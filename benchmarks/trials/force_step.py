@@ -18,7 +18,7 @@ from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from trials import simulated_plants
-from trials.control_laws import controller_on_raw_tension, force_scale
+from trials.control_laws import controller_on_raw_tension, force_weight_factor
 from trials.job_runner import JobPlan, collect_results
 from trials.lockstep_trial import (
     RATES_HZ,
@@ -99,7 +99,7 @@ def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> L
     """
     loop = FORCE_LOOPS[loop_name]
     fixed_gains = {
-        "force_N": FORCE_N * force_scale(RATES_HZ[hand_name]),
+        "force_N": FORCE_N * force_weight_factor(RATES_HZ[hand_name]),
         "integral_per_s": INTEGRAL_PER_S,
         "tension_error_N": WEIGHT_N,
     }
@@ -199,10 +199,10 @@ def _mean_over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
         name: float(np.mean([row[name] for row in good_rows])) if good_rows else float("nan")
         for name in names
     }
-    spread = float(np.std([row["rmse_N"] for row in good_rows])) if good_rows else float("nan")
+    rmse_sigma = float(np.std([row["rmse_N"] for row in good_rows])) if good_rows else float("nan")
     end_reasons = sorted({row["why"] for row in rows if row["why"]})
     return mean | {
-        "rmse_spread_N": spread,
+        "rmse_spread_N": rmse_sigma,
         "seeds": len(rows),
         "ended": len(rows) - len(good_rows),
         "why": end_reasons,

@@ -38,7 +38,7 @@ def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dic
     """Return the result of each job, either from a file or from a new computation.
 
     The function reads the stored results from the folder of ``plan``, and computes the missing
-    results. After the time limit of ``plan``, no further job starts.
+    results. After the time limit ``plan.max_minutes``, the function starts no further job.
 
     Args:
         run_job: top-level function that computes one job. The result of this function consists of JSON

@@ -106,7 +106,7 @@ class TrialRecord:
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
         """Return the true values of the named quantities at the time ``delay_ns`` [ns] before each tick.
 
-        The result is an array (ticks, names).
+        The result is an array with one row for each tick and one column for each name.
         """
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 

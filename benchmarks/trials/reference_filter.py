@@ -3,12 +3,13 @@
 The error of the reference filter is not a lower bound. A filter that is made for a hand with less
 noise, or that has more inputs, can have a smaller error.
 
-The filter has seven states per tendon. Four states are the travel and speed of the tendon at the
-spool, and the excursion and its rate at the joints. The other states are random forces on motor and
-joint (Gauss-Markov processes), and the stretch offset. The measurements are load cell and encoder.
-Constants of this module describe the disturbances. The filter is computed either for a digit that
-moves freely against its springs, or for a digit that presses on a stiff object. ``scipy`` computes
-the reference filter, independently of the filter design in the controller.
+The filter has seven states per tendon: travel and speed at the spool, excursion and excursion rate
+at the joints, two disturbance forces, and the stretch offset. One disturbance force acts on the
+motor, and the other on the joint. Both disturbance forces and the stretch offset are Gauss-Markov
+processes. The filter measures the tension by the load cell, and the travel at the spool by the
+motor encoder. Constants of this module describe the disturbances. The filter is computed either for
+a digit that moves freely against its springs, or for a digit that presses on a stiff object.
+``scipy`` computes the reference filter, independently of the filter design in the controller.
 """
 
 import numpy as np
@@ -36,7 +37,7 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def reference_sigma(
-    model: HandModel, tendon_index: int, is_digit_held: bool, with_joint_encoder: bool = True
+    model: HandModel, tendon_index: int, is_digit_held: bool, uses_motor_encoder: bool = True
 ) -> tuple[float, float]:
     """Return the standard deviation of the tension of a tendon at two times [N].
 
@@ -48,35 +49,35 @@ def reference_sigma(
         model: hand and control rate.
         tendon_index: index of the tendon.
         is_digit_held: True if the digit presses on an object.
-        with_joint_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
+        uses_motor_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
             the filter uses only the load cell.
     """
-    space = model.tendon_constants
+    tendon_constants = model.tendon_constants
     arm = float(np.abs(model.hand.moment_arms[tendon_index]).sum())
     spring = (
         CONTACT_STIFFNESS_N_M_PER_RAD / arm**2
         if is_digit_held
-        else space.load_stiffness[tendon_index]
+        else tendon_constants.load_stiffness[tendon_index]
     )
-    k = space.stiffness[tendon_index]
-    c = space.damping[tendon_index]
-    m = space.motor_mass[tendon_index]
-    load = space.load_mass[tendon_index]
+    k = tendon_constants.stiffness[tendon_index]
+    c = tendon_constants.damping[tendon_index]
+    m = tendon_constants.motor_mass[tendon_index]
+    load = tendon_constants.load_mass[tendon_index]
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((7, 7))
     A[0, 1] = A[2, 3] = 1.0
     A[1] = -tension / m
-    A[1, 1] -= space.motor_damping[tendon_index] / m
+    A[1, 1] -= tendon_constants.motor_damping[tendon_index] / m
     A[1, 4] = 1.0 / m
     A[3] = tension / load
     A[3, 2] -= spring / load
-    A[3, 3] -= space.load_damping[tendon_index] / load
+    A[3, 3] -= tendon_constants.load_damping[tendon_index] / load
     A[3, 5] = 1.0 / load
     A[4, 4] = -1.0 / MOTOR_CORRELATION_TIME_S
     A[5, 5] = -1.0 / JOINT_CORRELATION_TIME_S
     A[6, 6] = -1.0 / OFFSET_CORRELATION_TIME_S
     sigma = (
-        MOTOR_NOISE_N_M / space.spool_radius[tendon_index],
+        MOTOR_NOISE_N_M / tendon_constants.spool_radius[tendon_index],
         JOINT_NOISE_N_M / arm,
         STRETCH_OFFSET_M,
     )
@@ -95,16 +96,19 @@ def reference_sigma(
     H = np.vstack((np.eye(7)[0], tension)) * STATE_SCALE
     R = np.diag(
         [
-            (space.encoder_step[tendon_index] / np.sqrt(6.0)) ** 2,
-            space.tension_noise[tendon_index] ** 2,
+            (tendon_constants.encoder_step[tendon_index] / np.sqrt(6.0)) ** 2,
+            tendon_constants.tension_noise[tendon_index] ** 2,
         ]
     )
-    rows = [0, 1] if with_joint_encoder else [1]
-    spread = np.sqrt(np.diag(R)[rows])
+    rows = [0, 1] if uses_motor_encoder else [1]
+    measurement_sigma = np.sqrt(np.diag(R)[rows])
     P = solve_discrete_are(
-        F.T, (H[rows] / spread[:, None]).T, F @ van_loan_matrix[:7, 7:], np.eye(len(rows))
+        F.T,
+        (H[rows] / measurement_sigma[:, None]).T,
+        F @ van_loan_matrix[:7, 7:],
+        np.eye(len(rows)),
     )
-    measurement_rows = H[rows] / spread[:, None]
+    measurement_rows = H[rows] / measurement_sigma[:, None]
     row = tension * STATE_SCALE
     gain = (
         P

@@ -1,6 +1,7 @@
 """Define simulated hands that differ from the controller's model by known factors.
 
-The module also defines the task phases that precede a hold phase.
+``PHASES_TO_CONTACT`` defines the first phases of a task, in which the hand closes until it touches
+the object.
 """
 
 PLANT_FACTORS: dict[str, dict[str, float]] = {

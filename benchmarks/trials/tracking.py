@@ -182,8 +182,9 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 def tune_weights(plan: JobPlan) -> None:
     """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
-    For all weights, print the error of the fast motion and whether the weights keep the stability
-    margins. After the last trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
+    Each candidate is a pair of LQR weights. For each candidate, print the tracking error of the
+    fast motion, and whether the control loop keeps the required stability margins. After the last
+    trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
@@ -192,7 +193,7 @@ def tune_weights(plan: JobPlan) -> None:
         for w in WEIGHT_CANDIDATES
     ]
     results = collect_results(run_tracking_trial, jobs, plan)
-    table: dict = {"rmse_deg": {}, "keeps_margins": {}}
+    tuning_result: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in results.items():
         error = rows["fast"]["rmse_deg"]
         has_margins = has_required_margins(hand, law, weights)
@@ -200,12 +201,12 @@ def tune_weights(plan: JobPlan) -> None:
         print(
             f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if has_margins else ''} {reason}"
         )
-        table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
+        tuning_result["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
             round(error, 4) if np.isfinite(error) else None
         )
-        table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(has_margins)
+        tuning_result["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(has_margins)
     if len(results) == len(jobs):
-        TUNED_WEIGHTS_FILE.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
+        TUNED_WEIGHTS_FILE.write_text(json.dumps(tuning_result, indent=1) + "\n", "utf-8")
 
 
 def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
@@ -232,9 +233,9 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     pair of weights can be considered, return the first pair of ``WEIGHT_CANDIDATES``, or the last
     pair if ``with_margins`` is True.
     """
-    table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
-    errors = table["rmse_deg"][hand_name][law_name]
-    keeps_margins = table["keeps_margins"][hand_name][law_name]
+    tuning_result = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
+    errors = tuning_result["rmse_deg"][hand_name][law_name]
+    keeps_margins = tuning_result["keeps_margins"][hand_name][law_name]
     usable_weights = [
         i
         for i, error in enumerate(errors)
@@ -319,11 +320,11 @@ def _mean_over_seeds(run_rows: list[dict]) -> dict:
         else float("inf")
         for name in names
     }
-    spread = (
+    rmse_sigma = (
         float(np.std([row["rmse_deg"] for row in good_run_rows])) if good_run_rows else float("nan")
     )
     return mean | {
-        "rmse_spread_deg": spread,
+        "rmse_spread_deg": rmse_sigma,
         "seeds": len(run_rows),
         "ended": len(run_rows) - len(good_run_rows),
         "why": end_reasons,

@@ -17,12 +17,12 @@ MIN_SHOWN_ERROR_DEG = 0.03
 """Smallest error on the logarithmic axis of the picture [deg]."""
 
 
-def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
+def page_section(result: dict, compared_law_names: tuple[str, str, str, str]) -> str:
     """Convert a result of ``tracking.measure_tracking`` to the Markdown text of the section.
 
     Args:
         result: result of ``tracking.measure_tracking``.
-        compared_laws: names of four control laws: PD alone, springs and gravity, the complete law, and the
+        compared_law_names: names of four control laws: PD alone, springs and gravity, the complete law, and the
             misprinted equations.
     """
     paragraphs = ["## Tracking: benefit of each part of the control law", ""]
@@ -54,8 +54,13 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
         "these weights, too.",
     ]
     for hand, plants in result["hands"].items():
-        laws = plants["as known"]
-        paragraphs += ["", _laws_table(hand, laws), "", _conclusion_text(laws, compared_laws)]
+        rows_by_law = plants["as known"]
+        paragraphs += [
+            "",
+            _laws_table(hand, rows_by_law),
+            "",
+            _conclusion_text(rows_by_law, compared_law_names),
+        ]
         rows_with_margins = result["careful"].get(hand, {})
         if "as known" in rows_with_margins:
             nominal = rows_with_margins["as known"]
@@ -64,10 +69,10 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
                 "",
                 _laws_table(heading, nominal),
                 "",
-                _comparison_of_laws(nominal, compared_laws) + ".",
+                _comparison_of_laws(nominal, compared_law_names) + ".",
             ]
         if len(rows_with_margins) > 1:
-            paragraphs += ["", _plant_mismatch_table(hand, rows_with_margins, compared_laws)]
+            paragraphs += ["", _plant_mismatch_table(hand, rows_with_margins, compared_law_names)]
     paragraphs += [
         "",
         "![Tracking error at the fast motion, by law](../figures/control-tracking.png)",
@@ -75,9 +80,9 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     return "\n".join(paragraphs)
 
 
-def _laws_table(title: str, laws: dict) -> str:
+def _laws_table(title: str, rows_by_law: dict) -> str:
     """Return a Markdown table with a row for each control law."""
-    speeds = list(next(iter(laws.values())))
+    speeds = list(next(iter(rows_by_law.values())))
     column_titles = [
         title,
         *[f"{speed} [deg]" for speed in speeds],
@@ -87,7 +92,7 @@ def _laws_table(title: str, laws: dict) -> str:
         "seeds",
     ]
     rows = []
-    for law, row in laws.items():
+    for law, row in rows_by_law.items():
         fast_row = row["fast"]
         cells = [_rmse_cell(row[speed]) for speed in speeds]
         numbers = [_number_text(fast_row[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
@@ -101,34 +106,34 @@ def _number_text(value: float) -> str:
 
 def _rmse_cell(row: dict[str, float]) -> str:
     is_finite = np.isfinite(row["rmse_deg"])
-    spread = f" ± {row['rmse_spread_deg']:.3f}" if row["seeds"] > 1 else ""
+    spread_text = f" ± {row['rmse_spread_deg']:.3f}" if row["seeds"] > 1 else ""
     ended_text = f" ({row['ended']} of {row['seeds']} ended)" if row["ended"] else ""
-    return f"{row['rmse_deg']:.3f}{spread}{ended_text}" if is_finite else RUN_ENDED_TEXT
+    return f"{row['rmse_deg']:.3f}{spread_text}{ended_text}" if is_finite else RUN_ENDED_TEXT
 
 
-def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Return the conclusion that the section on tracking draws from the numbers in a result."""
-    best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
+def _conclusion_text(rows_by_law: dict, compared_law_names: tuple[str, str, str, str]) -> str:
+    """Return the conclusion of the page's section on tracking, with the numbers of a benchmark result."""
+    best_row, printed_row = (rows_by_law[name]["fast"] for name in compared_law_names[2:])
     return (
-        f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed_row, best_row)}\n\nEach entry is the "
-        "error of "
+        f"{_comparison_of_laws(rows_by_law, compared_law_names)}. {_misprint_effect(printed_row, best_row)}\n\n"
+        "Each entry is the error of "
         f"the row before minus the error of this row, at the fast motion, with the spread of the "
-        f"difference:\n\n{_gain_by_law(laws)}"
+        f"difference:\n\n{_gain_by_law(rows_by_law)}"
     )
 
 
-def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
+def _comparison_of_laws(rows_by_law: dict, compared_law_names: tuple[str, str, str, str]) -> str:
     """Compare the tracking error of the complete control law with the tracking errors of two other control laws.
 
     The two other control laws are PD, and the law with springs and gravity only.
     """
-    pd_row, springs_row, best = (laws[name]["fast"] for name in compared_laws[:3])
+    pd_row, springs_row, best = (rows_by_law[name]["fast"] for name in compared_law_names[:3])
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]
     gain = springs_row["rmse_deg"] - best["rmse_deg"]
-    spread = max(best["rmse_spread_deg"], springs_row["rmse_spread_deg"])
+    error_sigma = max(best["rmse_spread_deg"], springs_row["rmse_spread_deg"])
     gain_text = (
         f"The error of the whole control law is {gain:.3f} deg smaller than with springs and gravity alone"
-        + _error_reduction_text(gain, spread, best["seeds"])
+        + _error_reduction_text(gain, error_sigma, best["seeds"])
     )
     if not np.isfinite(gain):
         gain_text = "With springs and gravity alone, no run completes the motions"
@@ -145,29 +150,30 @@ def _comparison_with_pd(ratio: float) -> str:
     )
 
 
-def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Return a text with the ratio of a reduction of the tracking error to its standard deviation.
+def _error_reduction_text(error_reduction: float, error_sigma: float, seeds: int) -> str:
+    """Return a text that states the ratio of ``error_reduction`` to the standard deviation ``error_sigma``.
 
-    The standard deviation is computed over the seeds. With a single seed, there is no standard
+    Both arguments are in degrees. The standard deviation of the tracking error is computed over the
+    seeds of the benchmark runs. With a single seed, the text states that there is no standard
     deviation.
     """
     return (
-        f", which is {error_reduction / max(seed_range, 1e-9):.0f} times the spread"
+        f", which is {error_reduction / max(error_sigma, 1e-9):.0f} times the spread"
         if seeds > 1
         else " (one seed: no spread)"
     )
 
 
-def _gain_by_law(laws: dict) -> str:
+def _gain_by_law(rows_by_law: dict) -> str:
     """Return a text that states by how much each control law reduces the error of the preceding control law [deg].
 
     The text states whether a change of the error is larger than two standard deviations of this
     change over the seeds.
     """
     texts = []
-    old_row = laws[next(iter(laws))]["fast"]
-    for law in list(laws)[1:-1]:
-        new_row = laws[law]["fast"]
+    old_row = rows_by_law[next(iter(rows_by_law))]["fast"]
+    for law in list(rows_by_law)[1:-1]:
+        new_row = rows_by_law[law]["fast"]
         if not np.isfinite(new_row["rmse_deg"]):
             texts.append(
                 f"'{law}': a fault ends {new_row['ended']} of {new_row['seeds']} runs ({'; '.join(new_row['why'])})"
@@ -181,15 +187,15 @@ def _gain_by_law(laws: dict) -> str:
             old_row = new_row
             continue
         gain = old_row["rmse_deg"] - new_row["rmse_deg"]
-        spread = float(np.hypot(old_row["rmse_spread_deg"], new_row["rmse_spread_deg"]))
+        error_sigma = float(np.hypot(old_row["rmse_spread_deg"], new_row["rmse_spread_deg"]))
         significance_text = (
             ""
-            if gain > 2 * spread
+            if gain > 2 * error_sigma
             else " (worse)"
-            if gain < -2 * spread
+            if gain < -2 * error_sigma
             else " (within the spread)"
         )
-        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{significance_text}{shown_text}")
+        texts.append(f"'{law}': {gain:+.3f} ± {error_sigma:.3f} deg{significance_text}{shown_text}")
         old_row = new_row
     return "\n".join(f"- {line}" for line in texts)
 
@@ -210,25 +216,25 @@ def _misprint_effect(misprinted_row: dict, best_row: dict) -> str:
 
 
 def _plant_mismatch_table(
-    hand_name: str, plants: dict, compared_laws: tuple[str, str, str, str]
+    hand_name: str, plants: dict, compared_law_names: tuple[str, str, str, str]
 ) -> str:
     """Return a Markdown table of tracking errors for simulated hands that differ from the controller's model."""
-    speeds = list(plants["as known"][compared_laws[2]])
-    speed_columns = [f"{compared_laws[2]}, {speed}" for speed in speeds]
+    speeds = list(plants["as known"][compared_law_names[2]])
+    speed_columns = [f"{compared_law_names[2]}, {speed}" for speed in speeds]
     column_titles = [
         f"{hand_name}, RMSE [deg]",
-        f"{compared_laws[0]}, fast",
-        f"{compared_laws[1]}, fast",
+        f"{compared_law_names[0]}, fast",
+        f"{compared_law_names[1]}, fast",
         *speed_columns,
         "PD / whole control law",
         "seeds",
     ]
     rows = []
-    for plant, laws in plants.items():
-        if not all(name in laws for name in compared_laws[:3]):
+    for plant, rows_by_law in plants.items():
+        if not all(name in rows_by_law for name in compared_law_names[:3]):
             continue
-        pd_row, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
-        rmse_cells = [_rmse_cell(laws[compared_laws[2]][speed]) for speed in speeds]
+        pd_row, springs, best = (rows_by_law[name]["fast"] for name in compared_law_names[:3])
+        rmse_cells = [_rmse_cell(rows_by_law[compared_law_names[2]][speed]) for speed in speeds]
         ratio = _number_text(pd_row["rmse_deg"] / best["rmse_deg"])
         rows.append(
             [plant, _rmse_cell(pd_row), _rmse_cell(springs), *rmse_cells, ratio, str(best["seeds"])]
@@ -237,7 +243,7 @@ def _plant_mismatch_table(
         (
             markdown_table(column_titles, rows),
             "",
-            _error_increase_text(plants, compared_laws[2]),
+            _error_increase_text(plants, compared_law_names[2]),
             _end_reasons(plants),
         )
     )
@@ -246,13 +252,14 @@ def _plant_mismatch_table(
 def _error_increase_text(plants: dict, law_name: str) -> str:
     """List by how much each change of the simulated hand raises the tracking error of a control law.
 
-    The error is measured in the fast motion. The list begins with the largest rise of the error.
+    The tracking error is the root mean square error during the fast motion, the fastest of three
+    test motions. The list begins with the largest rise of the error.
     """
     nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
     error_rise_by_plant = {
-        plant: laws[law_name]["fast"]["rmse_deg"] - nominal
-        for plant, laws in plants.items()
-        if law_name in laws
+        plant: rows_by_law[law_name]["fast"]["rmse_deg"] - nominal
+        for plant, rows_by_law in plants.items()
+        if law_name in rows_by_law
     }
     costly_plants = sorted(
         (plant for plant in error_rise_by_plant if plant != "as known"),
@@ -265,8 +272,8 @@ def _error_increase_text(plants: dict, law_name: str) -> str:
 def _end_reasons(plants: dict) -> str:
     """List for each control law the reasons why runs ended early."""
     texts: dict[str, set[str]] = {}
-    for laws in plants.values():
-        for law, speeds in laws.items():
+    for rows_by_law in plants.values():
+        for law, speeds in rows_by_law.items():
             faults = {
                 word
                 for row in speeds.values()
@@ -294,25 +301,27 @@ def draw_picture(result: dict) -> None:
         1, len(hands), figsize=(5.8 * len(hands), 4.4), sharey=True, squeeze=False
     )
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
-        laws = plants["as known"]
+        rows_by_law = plants["as known"]
         rows_with_margins = result["careful"].get(hand, {}).get("as known", {})
-        bar_positions = np.arange(len(laws))
+        bar_positions = np.arange(len(rows_by_law))
         for rows, shift, colour, label in (
-            (laws, -0.2, "#4477aa", "best weights"),
+            (rows_by_law, -0.2, "#4477aa", "best weights"),
             (rows_with_margins, 0.2, "#cc6677", "best weights that keep margins"),
         ):
-            values = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
+            values = [
+                (list(rows_by_law).index(law) + shift, row["fast"]) for law, row in rows.items()
+            ]
             finite_rows = [
                 (bar_position, row) for bar_position, row in values if np.isfinite(row["rmse_deg"])
             ]
-            mean, spread = (
+            mean, error_sigma = (
                 [row[key] for _, row in finite_rows] for key in ("rmse_deg", "rmse_spread_deg")
             )
             axis.barh(
                 [p for p, _ in finite_rows],
                 mean,
                 0.38,
-                xerr=spread,
+                xerr=error_sigma,
                 color=colour,
                 label=label,
                 capsize=2,
@@ -323,7 +332,7 @@ def draw_picture(result: dict) -> None:
                 end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_SHOWN_ERROR_DEG
                 axis.annotate(text, (end, bar_position), (4, -3),
                               textcoords="offset points", fontsize=8)  # fmt: skip
-        axis.set_yticks(bar_positions, list(laws))
+        axis.set_yticks(bar_positions, list(rows_by_law))
         axis.set_xscale("log")
         axis.set_xlim(MIN_SHOWN_ERROR_DEG, 30.0)
         axis.set_xlabel("RMSE, 0 to 60 deg in 0.15 s [deg]")

@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. The rows of the array and the objects have the same attributes.
+rotors are objects in a list. A row of the array has the same attributes as an object of the list.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
@@ -199,8 +199,9 @@ def _add_tendon_torques(
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
     """Compensate the damping torque of a tendon, which MuJoCo will subtract from ``torque`` [N m].
 
-    The kernel adds the damping torque that MuJoCo will subtract. MuJoCo and the kernel both compute
-    the damping torque with the mean moment arms.
+    In its next step, MuJoCo subtracts a damping torque for the tendon. This function adds the same
+    torque beforehand, so that both cancel out. MuJoCo and this function both compute the damping
+    torque with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -272,7 +273,7 @@ def compute_command(rotor: Any) -> None:
     to its value at the end of the step.
     """
     servo = rotor.own_servo
-    filter_fraction = rotor.lag
+    current_lag = rotor.lag
     gain = rotor.gain
     smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)
     # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains the
@@ -293,11 +294,11 @@ def compute_command(rotor: Any) -> None:
         impedance = servo.kd + rotor.step * servo.kp
         push = (
             inertia * rotor.omega
-            + gain * ((1.0 - filter_fraction) * rotor.torque + filter_fraction * command_at_rest)
+            + gain * ((1.0 - current_lag) * rotor.torque + current_lag * command_at_rest)
             - drag
         )
         command = command_at_rest - impedance * push / (
-            inertia + rotor.viscous + gain * filter_fraction * impedance
+            inertia + rotor.viscous + gain * current_lag * impedance
         )
     if command > limit:
         command = limit

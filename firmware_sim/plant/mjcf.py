@@ -87,7 +87,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     hand come first, and the free joint of the object follows. The contacts in the model are softer
     than in the source (MODEL, section 6), which gives a solref of 0.002. With a solref of 0.002,
     the penetration in a grasp would be less than the error of the collision detector, so contacts
-    would vanish for single steps. Source of the other settings: MODEL, section 6.
+    would vanish for single steps. Section 6 of the document MODEL is also the source of all other
+    MuJoCo settings.
 
     Args:
         hand: description of the hand.
@@ -103,7 +104,9 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
         friction=friction,
         palm_category=PALM_COLLISION_BIT if scene.palm_contact else 0,
     )
-    opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
+    is_digit_opposed = dict(
+        zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True)
+    )
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
         _table_element(scene.grasp_object, scene.support, hand.gravity)
         if scene.grasp_object
@@ -118,9 +121,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal_force_sensor(hand, digit) for digit in hand.digits)
+    palm = _palm_element(hand, "", is_digit_opposed, mesh_by_link)
     model_start = f'<mujoco model="{hand.name}">{options}{_mesh_assets(mesh_by_link)}'
     return (
-        f"{model_start}<worldbody>\n{_palm_element(hand, '', opposed, mesh_by_link)}\n{scene_bodies}</worldbody>\n"
+        f"{model_start}<worldbody>\n{palm}\n{scene_bodies}</worldbody>\n"
         f"<tendon>{tendons}{''.join(loopback_by_name.values())}</tendon>\n{_equality_element(loopback_by_name)}"
         f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
@@ -129,7 +133,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return for each digit whether it closes against the first digit that can close.
 
-    For example, if the first digit is a finger, the value of the thumb is True.
+    For example, if the first digit is a finger and the thumb closes against the finger, the value
+    for the thumb is True.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -275,7 +280,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     close to the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
-    carriers = [
+    carrier_digits = [
         carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
     ]
     fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
@@ -284,7 +289,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
         points = position + fractions * (length * rotation[:, 0])
         distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
         is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())
-        for carrier_digit in carriers:
+        for carrier_digit in carrier_digits:
             # The link that carries the digit is a capsule along the x axis of its own frame.
             nearest_points = np.clip(points[:, :1], 0.0, carrier_digit.length[-1]) * np.array(
                 [1.0, 0.0, 0.0]
@@ -360,7 +365,8 @@ def _collision_bits_of_digit(is_opposed: bool, is_near_palm: bool) -> tuple[int,
 def _collision_bits_of_carrier() -> tuple[int, int]:
     """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
-    The links of a carrying digit have the same category and affinity as the palm.
+    In MuJoCo, the category is ``contype`` and the affinity is ``conaffinity``. A digit that carries
+    other digits, such as a wrist, collides with the same bodies as the palm.
     """
     return PALM_COLLISION_BIT, OBJECT_COLLISION_BIT
 
@@ -410,13 +416,14 @@ def _tendon_element(tendon: TendonSpec) -> str:
 def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons of a digit with spool pairs.
 
-    The loopback tendons make the joints obey the coupling matrix B of the digit.
+    A spool pair is two antagonistic tendons on one spool. A digit with spool pairs has no springs.
+    Spool pairs alone would allow coupled joints to turn against each other. In a real hand, a
+    loopback tendon or a bar between the joints prevents this motion.
 
-    A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
-    could turn against each other. In a real hand, a loopback tendon or a bar couples the coupled
-    joints. Let c be a vector with B^T c = 0. The coupling keeps the sum of the joint angles,
-    weighted by the elements of c, constant. In the model, each vector c is a tendon, and
-    ``_equality_element`` keeps the length of this tendon constant.
+    The model has loopback tendons, so that the joint angles q follow the coupling matrix B of the
+    digit. Let c be a vector with B^T c = 0. The coupling keeps the weighted sum c^T q constant. In
+    the model, a loopback tendon represents each vector c, and ``_equality_element`` keeps the
+    length of this tendon constant.
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of
@@ -451,7 +458,7 @@ def _equality_element(loopback_names: Iterable[str]) -> str:
 def _contact_sensor(hand: Hand, digit: Digit) -> str:
     """Build the MuJoCo sensor that measures the total contact force on a digit."""
     return (
-        f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} '
+        f'<contact name="contact/{digit.name}" {_contact_bodies_attribute(hand, digit)} '
         'num="1" reduce="netforce" data="force"/>'
     )
 
@@ -462,12 +469,13 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
     Axis 1 of each measured force is along the normal of the contact.
     """
     return (
-        f'<contact name="normal/{digit.name}" {_touch_sensors(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
+        f'<contact name="normal/{digit.name}" {_contact_bodies_attribute(hand, digit)} geom2="object"'
+        f' num="{MAX_CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
     )
 
 
-def _touch_sensors(hand: Hand, digit: Digit) -> str:
+def _contact_bodies_attribute(hand: Hand, digit: Digit) -> str:
     """Return the MJCF attribute that selects the bodies whose contacts a sensor measures.
 
     The sensor measures the contacts of all links of a digit, but only of the last link if the digit

@@ -1,8 +1,9 @@
 """A motor: the rotor at the spool and the servo of the drive, integrated with the time step of the plant.
 
 The control loop of a real drive runs at 10 to 20 kHz, which is faster than the time steps of the
-plant. Therefore the simulation integrates the control loop implicitly. With the implicit
-integration, gains that are stable in the drive are stable in the simulation, without sub-steps.
+plant. Because of the long time steps, the simulation integrates the drive's control loop
+implicitly. With the implicit integration, gains that are stable in the drive are stable in the
+simulation, without sub-steps.
 """
 
 import math

@@ -88,9 +88,9 @@ class Plant:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
         # In the dict below, a key is the index of the first tendon of a spool pair, and the value
         # is the index of the second tendon.
-        first_of_pair = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
+        first_tendons_of_pairs = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {
-            i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_of_pair)
+            i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_tendons_of_pairs)
         }
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
@@ -290,13 +290,13 @@ class Plant:
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if is_table_active else 1 << 30
 
     def _is_table_active(self, table: SupportTable) -> bool:
-        """Return True if the table still moves, or if the scene has stages."""
+        """Return True if the table still moves, or if the scene has stages (events after the grasp)."""
         return bool(self.stages) or not table.is_settled
 
     def _run_steps(self, count: int) -> None:
         """Run a number of time steps of the plant.
 
-        If no motor has a fault, a single call of the compiled kernel runs all steps.
+        If no motor has a fault, a single call of a compiled kernel runs all ``count`` steps.
         """
         if self.step_progress_ns:
             # The code first completes the rest of a divided time step, so that later steps start at
@@ -325,7 +325,8 @@ class Plant:
     def _run_single_step(self, faulty_motors: list[Motor]) -> None:
         """Run one time step of the plant.
 
-        Python advances the given faulty motors. The kernel advances all other motors.
+        Interpreted Python code integrates the motors in ``faulty_motors``. A compiled kernel
+        integrates all other motors.
         """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()

@@ -1,4 +1,4 @@
-"""C structures with the state of tendons and rotors. Compiled kernels read and write the structures.
+"""C structures with the state of tendons and rotors, which compiled kernels read and write.
 
 Kernels that run as interpreted Python accept any object with the attributes of a structure.
 """

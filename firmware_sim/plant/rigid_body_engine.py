@@ -150,8 +150,8 @@ class RigidBodyEngine:
     def overlaps(self) -> dict[str, float]:
         """Return the depth by which the object overlaps each body that it touches [m].
 
-        The keys of the returned dictionary are the names of the bodies. The overlap with the table
-        is not included.
+        The keys of the returned dictionary are the names of the bodies. The dictionary does not
+        contain the overlap of the object with the table.
         """
         model = self._model
         depths: dict[str, float] = {}

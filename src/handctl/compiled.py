@@ -227,7 +227,9 @@ def square(value: float) -> float:
     return value * value
 
 
-def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
+def _generate_borrowed_array(
+    typing_context: Any, flat_array: Any, first_element: Any, shape: Any
+) -> Any:
     """Generate the code of ``borrowed_array``.
 
     This function returns an array that refers to the memory of another array.
@@ -237,9 +239,9 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
     Raises:
         TypingError: the original array is not contiguous in C order.
     """
-    if flat.layout != "C":
-        raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
-    result = types.Array(flat.dtype, shape.count, "C")
+    if flat_array.layout != "C":
+        raise TypingError(f"a kernel can borrow a contiguous array only, not {flat_array}")
+    result = types.Array(flat_array.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
@@ -249,7 +251,7 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
         sizes = cgutils.unpack_tuple(builder, arguments[2], shape.count)
-        itemsize = context.get_abi_sizeof(context.get_data_type(flat.dtype))
+        itemsize = context.get_abi_sizeof(context.get_data_type(flat_array.dtype))
         strides = [context.get_constant(types.intp, itemsize)]
         for size in sizes[:0:-1]:
             strides.insert(0, builder.mul(strides[0], size))
@@ -261,7 +263,7 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
         return array._getvalue()
 
     tuple_of: Any = types.UniTuple
-    return result(flat, types.intp, tuple_of(types.intp, shape.count)), generate
+    return result(flat_array, types.intp, tuple_of(types.intp, shape.count)), generate
 
 
 def borrowed_array(
@@ -287,9 +289,9 @@ if NUMBA_INSTALLED:
     _borrow: Any = intrinsic(_generate_borrowed_array)
 
     @overload(borrowed_array, inline="always")
-    def _overload_borrowed_array(flat: Any, first_element: Any, shape: Any) -> Any:
-        def implementation(flat: Any, first_element: Any, shape: Any) -> Any:
-            return _borrow(flat, first_element, shape)
+    def _overload_borrowed_array(flat_array: Any, first_element: Any, shape: Any) -> Any:
+        def implementation(flat_array: Any, first_element: Any, shape: Any) -> Any:
+            return _borrow(flat_array, first_element, shape)
 
         return implementation
 
@@ -362,7 +364,8 @@ def _compile_together(
 ) -> None:
     """Compile kernels into a folder, with one process for each processor core.
 
-    During the compilation, a lock makes other processes wait before they use the folder.
+    During the compilation, a file lock on ``folder`` makes other processes wait before they use the
+    compiled code.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 
@@ -414,7 +417,7 @@ def _try_file_lock(lock_file: IO[str]) -> bool:
 
 
 def _start_compiler_process(
-    remaining_count: int, waiting_kernels: Sequence[_UncompiledKernel]
+    kernel_number_pipe: int, waiting_kernels: Sequence[_UncompiledKernel]
 ) -> int:
     """Fork a process that compiles waiting kernels, one after the other, until no kernel is left.
 
@@ -424,7 +427,7 @@ def _start_compiler_process(
     if process:
         return process
     try:
-        while number := os.read(remaining_count, 1):
+        while number := os.read(kernel_number_pipe, 1):
             waiting_kernels[number[0]].dispatcher.compile(waiting_kernels[number[0]].types)
     finally:
         os._exit(0)

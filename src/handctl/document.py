@@ -53,8 +53,8 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
 def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
     """Validate content that was parsed from TOML.
 
-    Before the validation, the content is converted to JSON. The strict validation of JSON accepts a
-    list as a tuple, and 1 as a float, but refuses true as a number.
+    The function converts the content to JSON, and lets pydantic validate the JSON text in strict
+    mode. This validation accepts a list as a tuple, and 1 as a float, but refuses true as a number.
 
     Raises:
         ConfigError: a key or a value in the content is wrong.
@@ -180,7 +180,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
     """Return True if pydantic uses the given name in error locations for a model of a union.
 
-    The name is either the tag or the class of the model.
+    Pydantic names the model either by its tag or by its class.
     """
     tags = [get_args(field.annotation) for field in model.model_fields.values()]
     return name == model.__name__ or (name,) in tags

@@ -26,10 +26,10 @@ class HandctlError(Exception):
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
         self.what, self.where, self.right = what, where, right
-        clauses = [f"{where}: {what}" if where else what]
+        message_parts = [f"{where}: {what}" if where else what]
         if right:
-            clauses.append(f"expected {right}")
-        super().__init__(one_line_message("; ".join(clauses)))
+            message_parts.append(f"expected {right}")
+        super().__init__(one_line_message("; ".join(message_parts)))
 
 
 class ConfigError(HandctlError):

@@ -1,17 +1,17 @@
 """Fast loading of stored kernels.
 
 This module loads stored kernels without the parts of numba that only a compilation needs. When
-numba loads a stored function, three steps take most of the time. First, numba registers all types
-and functions that can be compiled. Second, numba imports the modules of the numba functions that
-the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
-function. The bitcode is needed only if the stored function is inlined into another function. If the
-cache folder contains the code of all kernels, a program compiles nothing and needs none of the
-three steps. If numba must nevertheless compile a function, it registers the types when the
-compilation begins. If a newly compiled kernel calls a stored kernel, the bitcode of the stored
-kernel is parsed during linking.
+numba itself loads a stored function, it spends most of the time on three steps: registration,
+imports and parsing. First, numba registers all types and functions that can be compiled. Second,
+numba imports the modules of the numba functions that the stored function contains. Third, numba
+parses the intermediate code (bitcode) of the stored function. The bitcode is needed only if the
+stored function is inlined into another function. If the cache folder contains the code of all
+kernels, a program compiles nothing and needs none of the three steps. If numba must nevertheless
+compile a function, it registers the types when the compilation begins. If a newly compiled kernel
+calls a stored kernel, the bitcode of the stored kernel is parsed during linking.
 
-The three slow steps are internal to numba. This module skips the steps only for the versions of
-numba in ``TESTED_VERSIONS``.
+The three slow steps are internal to numba. This module skips the three steps only for the versions
+of numba in ``TESTED_NUMBA_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ from numba.core import codegen as _codegen
 from numba.core import environment as _environment
 from numba.core import runtime as _runtime
 
-TESTED_VERSIONS = ((0, 68),)
+TESTED_NUMBA_VERSIONS = ((0, 68),)
 """Versions of numba with which this module was tested."""
 
 codegen: Any = _codegen
@@ -35,14 +35,14 @@ runtime: Any = _runtime
 
 
 def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
-    """Load the stored code of a kernel into the dispatcher. If no code is stored, do nothing.
+    """Load the stored code of a kernel into the dispatcher, or do nothing if the kernel has no stored code.
 
     Args:
         dispatcher: numba dispatcher of the kernel, which has a cache on the disk.
         types: numba types of the arguments.
     """
     version: Any = numba.version_info
-    if version.short not in TESTED_VERSIONS:
+    if version.short not in TESTED_NUMBA_VERSIONS:
         return
     context = dispatcher.targetctx
     with _without_compiler(context):
@@ -85,7 +85,7 @@ def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
     This function replaces a function of numba that also imports the Python module of the compiled
-    function. Compiled code does not need that module.
+    function. The import is not necessary, because compiled code does not need its Python module.
 
     Args:
         module: name of the module.

@@ -183,8 +183,9 @@ def _error_with_user_path(path: Path, temporary_path: Path) -> Iterator[None]:
 def _move_into_place(temporary_path: Path, target: Path, must_be_new: bool) -> None:
     """Move a finished file to the path of the output.
 
-    If the output must be a new file, the function does not replace a file that another process has
-    created in the meantime. Only file systems without hard links lack this protection.
+    If ``must_be_new`` is True, the function does not replace a file that another process has
+    created in the meantime. On a file system without hard links, the function can replace such a
+    file.
     """
     if must_be_new and temporary_path.is_file():
         try:

@@ -34,6 +34,6 @@ class TerminationFlag:
     def __init__(self) -> None:
         self.requested = False
 
-    def __call__(self, number: int, frame: object) -> None:
+    def __call__(self, signal_number: int, frame: object) -> None:
         """Handle a signal: set the flag."""
         self.requested = True

@@ -1,4 +1,4 @@
-"""Test that each hand file that ``config init`` writes from a few valid answers passes `config check`."""
+"""Test that `config check` accepts the hand files that ``config init`` writes for valid answers to its questions."""
 
 import itertools
 import json

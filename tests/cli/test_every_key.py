@@ -154,7 +154,8 @@ def mistake_cases():
 def text_with_repeated_key(text, key):
     """Return TOML text in which one key and its value occur twice.
 
-    The second occurrence is on the next line, or in the same inline table as the first.
+    The copy of the key and its value is on the line after the original, or in the inline table of
+    the original.
     """
     entry = re.search(rf"(?<![\w-]){re.escape(key)} = (\[[^\]]*\]|[^,}}\n]*[^,}}\s])", text)
     separator = "\n" if text[: entry.start()].rpartition("\n")[2] == "" else ", "

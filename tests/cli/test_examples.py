@@ -73,7 +73,7 @@ def start_in_background(run_in_shell):
     """Yield a function that starts a command and returns before the command ends.
 
     The function starts the command as a user does in another terminal. After the test, the fixture
-    ends all commands that were started in this way.
+    ends all commands that the function has started.
     """
     children = []
 

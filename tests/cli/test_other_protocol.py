@@ -1,8 +1,8 @@
 """Test the option --protocol.
 
-With the option ``--protocol``, a simulated hand has drives of another protocol. The option
-``--protocol`` works in ``handctl demo``. The option ``--protocol`` also works if simulator and
-controller are two processes.
+With the option ``--protocol``, a simulated hand has drives of another protocol than in its hand
+file. The option ``--protocol`` works in ``handctl demo``. The option ``--protocol`` also works if
+simulator and controller are two processes.
 """
 
 import argparse

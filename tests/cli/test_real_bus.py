@@ -51,7 +51,7 @@ def input_files(work_folder, monkeypatch):
 
 @pytest.fixture(params=MOTION_COMMANDS)
 def command_words(request, work_folder):
-    """Return the words of a command that moves a hand.
+    """Return the command-line words of each handctl command that moves a hand, one command per test.
 
     If the command is ``replay``, create the log that the command replays.
     """

@@ -26,8 +26,10 @@ def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
 
     In the returned outcome, the CPU time of the control loop is ``cpu_s`` [s].
     """
-    latched = [SimpleNamespace(id=row) for row in fault_ids]
-    state = SimpleNamespace(latched_faults=latched, failure="fault" if fault_ids else "", k=1000)
+    latched_faults = [SimpleNamespace(id=row) for row in fault_ids]
+    state = SimpleNamespace(
+        latched_faults=latched_faults, failure="fault" if fault_ids else "", k=1000
+    )
     return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 

@@ -22,7 +22,9 @@ from numba import njit
 square = compiled.square
 print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
-UNKNOWN_VERSION_SCRIPT = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
+UNKNOWN_VERSION_SCRIPT = (
+    "from handctl import kernel_loading\nkernel_loading.TESTED_NUMBA_VERSIONS = ()\n"
+)
 
 pytestmark = pytest.mark.skipif(
     compiled._CACHE_FOLDER is None, reason="no folder for compiled code"
@@ -60,4 +62,4 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 def test_the_installed_version_is_known() -> None:
     """Fail for a new version of numba until a developer has checked ``kernel_loading`` with this version."""
     version: object = numba.version_info
-    assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS
+    assert getattr(version, "short", None) in kernel_loading.TESTED_NUMBA_VERSIONS

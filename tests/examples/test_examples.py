@@ -104,7 +104,7 @@ def simulated_hand(time_scale_of_attempt, *words, name="jamia"):
     With ``time_scale_of_attempt`` = 0.5, simulator and controller run at half the speed of real
     time. Yield the command-line options for a controller of the simulated hand.
     """
-    scale = make_time_scale_options(TIME_SCALE * time_scale_of_attempt)
+    time_scale_options = make_time_scale_options(TIME_SCALE * time_scale_of_attempt)
     write_homed_calibration(Path("c.toml"), load_hand(name))
     with running_simulator(
         "-m",
@@ -115,9 +115,9 @@ def simulated_hand(time_scale_of_attempt, *words, name="jamia"):
         "local:lab",
         *HOMED_HAND_OPTIONS,
         *words,
-        *scale,
+        *time_scale_options,
     ):
-        yield ("--calibration", "c.toml", *scale)
+        yield ("--calibration", "c.toml", *time_scale_options)
 
 
 @REALTIME_MARK
@@ -134,9 +134,9 @@ def test_connect_and_move(time_scale_of_attempt):
 def test_stream_sine(time_scale_of_attempt):
     with simulated_hand(time_scale_of_attempt, "--scene", "none") as options:
         out = run_example("stream_sine.py", *options)
-    accepted = re.search(r"accepted=(\d+), clipped=0", out)
-    assert accepted
-    assert 100 < int(accepted[1]) <= 301, "missed times are left out"
+    accepted_match = re.search(r"accepted=(\d+), clipped=0", out)
+    assert accepted_match
+    assert 100 < int(accepted_match[1]) <= 301, "missed times are left out"
     # The test compares the motion with the ideal sine of the example program. For this reason,
     # targets that the program sends too late count as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
@@ -154,9 +154,11 @@ def test_retarget(time_scale_of_attempt):
     assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
     # The second row of the picture shows the distances of the fingertips, in one diagram per digit.
-    lower = imread("retarget.png")[..., :3]
-    lower = lower[int(0.6 * len(lower)) : int(0.8 * len(lower))]
-    assert (lower < 0.1).all(axis=(0, 2)).sum() >= 8
+    second_row_image = imread("retarget.png")[..., :3]
+    second_row_image = second_row_image[
+        int(0.6 * len(second_row_image)) : int(0.8 * len(second_row_image))
+    ]
+    assert (second_row_image < 0.1).all(axis=(0, 2)).sum() >= 8
 
 
 @REALTIME_MARK
@@ -279,7 +281,7 @@ def test_every_example_has_a_test_and_a_row_in_the_table():
     names = {path.stem for path in EXAMPLES_FOLDER.iterdir() if path.suffix in (".py", ".ipynb")}
     assert len(names) >= 10
     test_names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
-    table = (EXAMPLES_FOLDER / "README.md").read_text("utf-8")
+    readme_text = (EXAMPLES_FOLDER / "README.md").read_text("utf-8")
     for name in names:
         assert any(test.startswith(name) for test in test_names), name
-        assert f"]({name}." in table, name
+        assert f"]({name}." in readme_text, name

@@ -90,10 +90,11 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
         RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
     ):
-        spans = [active_time_range(log) for log in (fault_log, two)]
+        active_ranges_s = [active_time_range(log) for log in (fault_log, two)]
         starts = (0.0, 0.25)
         videos = [
-            write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
+            write_video(tmp_path / f"{i}.mp4", active_ranges_s[i][1] - starts[i] + 0.2)
+            for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], starts, 2)
         frames = export_lerobot([fault_log, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
@@ -110,7 +111,9 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         image = dataset_row["observation.images.wrist"]
         assert image.shape == (3, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX)
         episode = int(dataset_row["episode_index"])
-        frame_time_s = spans[episode][0] + float(dataset_row["timestamp"]) - starts[episode]
+        frame_time_s = (
+            active_ranges_s[episode][0] + float(dataset_row["timestamp"]) - starts[episode]
+        )
         latest_camera_time_s = np.floor(frame_time_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
         assert brightness(image) == pytest.approx(
             20.0 + BRIGHTNESS_PER_S * latest_camera_time_s, abs=3.0
@@ -156,9 +159,9 @@ def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
         RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
         RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
     ):
-        ends = [active_time_range(log)[1] for log in (fault_log, two)]
+        active_end_times_s = [active_time_range(log)[1] for log in (fault_log, two)]
         videos = [
-            write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
+            write_video(tmp_path / f"{i}.mp4", active_end_times_s[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
             for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
@@ -177,8 +180,12 @@ def test_the_description_is_that_of_lerobot(tmp_path) -> None:
             VIDEO_FRAMES_PER_S,
             make_cameras(["wrist"], [[video]], (0.0,), 1),
         )
-    info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
+    dataset_info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
     key = "observation.images.wrist"
-    path = tmp_path / "data" / info["video_path"].format(video_key=key, chunk_index=0, file_index=0)
+    path = (
+        tmp_path
+        / "data"
+        / dataset_info["video_path"].format(video_key=key, chunk_index=0, file_index=0)
+    )
     video_info = get_video_info(path)
-    assert {name: info["features"][key]["info"][name] for name in video_info} == video_info
+    assert {name: dataset_info["features"][key]["info"][name] for name in video_info} == video_info

@@ -99,6 +99,6 @@ def test_everything_passes_with_the_real_lerobot(lerobot_python: str, tmp_path: 
         check=False,
     )
     assert result.returncode == 0, result.stdout[-3000:]
-    count = re.search(r"(\d+) passed", result.stdout)
-    assert count is not None
-    assert int(count[1]) >= MIN_PASSED_TESTS, result.stdout[-500:]
+    passed_match = re.search(r"(\d+) passed", result.stdout)
+    assert passed_match is not None
+    assert int(passed_match[1]) >= MIN_PASSED_TESTS, result.stdout[-500:]

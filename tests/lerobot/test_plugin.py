@@ -30,10 +30,10 @@ NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=SKIP_REA
 
 
 def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:
-    project = tomllib.loads((PLUGIN_FOLDER / "pyproject.toml").read_text("utf-8"))["project"]
-    assert project["name"] == "lerobot_robot_handctl"
-    assert project["version"] == version("handctl")
-    assert (PLUGIN_FOLDER / project["name"] / "__init__.py").is_file()
+    project_table = tomllib.loads((PLUGIN_FOLDER / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project_table["name"] == "lerobot_robot_handctl"
+    assert project_table["version"] == version("handctl")
+    assert (PLUGIN_FOLDER / project_table["name"] / "__init__.py").is_file()
     assert HOMED_HAND_OPTIONS[0] == "--homed"
 
 
@@ -97,16 +97,16 @@ def test_keys_close_and_open_digits() -> None:
     stdin_copy = os.dup(0)
     os.dup2(reading, 0)
     try:
-        keys = HandctlKeyboard(HandctlKeyboardConfig())
-        keys.connect()
+        keyboard = HandctlKeyboard(HandctlKeyboardConfig())
+        keyboard.connect()
         os.write(writing, b"qqqwa!")
-        action = keys.get_action()
-        assert keys.get_action() == action
+        action = keyboard.get_action()
+        assert keyboard.get_action() == action
         angles = np.degrees(list(action.values()))
         np.testing.assert_allclose(angles, [4, 4, 4, 2, 2, 2, 0, 0, 0, 0, 0], atol=1e-9)
         os.write(writing, b" ")
-        assert set(keys.get_action().values()) == {0.0}
-        keys.disconnect()
+        assert set(keyboard.get_action().values()) == {0.0}
+        keyboard.disconnect()
     finally:
         os.dup2(stdin_copy, 0)
         for descriptor in (reading, writing, stdin_copy):

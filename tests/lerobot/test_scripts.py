@@ -39,8 +39,8 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 def fault_texts(run_log: RunLog) -> list[str]:
     """Return the texts of those faults in a log that made the hand relax.
 
-    The function ignores weaker faults, which a busy machine causes when it delays frames and
-    actions.
+    The function ignores faults with a less severe reaction. A busy machine causes such faults when
+    it delays frames and actions.
     """
     return [
         row.event.text
@@ -76,24 +76,26 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
     actions = np.array([dataset[i]["action"].numpy() for i in range(dataset.num_frames)])
     assert np.ptp(np.degrees(actions[:, 0])) > 10.0
 
-    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
+    replay_options = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
     run_script(
         "replay",
         *robot,
-        f"--robot.options={replay}",
+        f"--robot.options={replay_options}",
         *data,
         "--dataset.episode=0",
         "--play_sounds=false",
     )
     with RunLog(Path("replay.mcap")) as log:
         assert not fault_texts(log)
-        active = log.mode == HandMode.ACTIVE
-        highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
+        is_active = log.mode == HandMode.ACTIVE
+        max_angle_goal_deg = np.degrees(
+            np.nanmax(log.field("q_goal")[is_active][:, :3].mean(axis=1))
+        )
     first_actions = actions[: int(dataset.meta.episodes[0]["length"])]
     # The joints of a finger are coupled, so all of them get the same angle. The common angle of
     # coupled joints is the angle nearest to the recorded angles.
     expected = np.degrees(first_actions[:, :3].mean(axis=1).max())
-    assert highest == pytest.approx(expected, abs=2.0)
+    assert max_angle_goal_deg == pytest.approx(expected, abs=2.0)
 
     words = [word.replace("run.mcap", "again.mcap") for word in robot_options]
     result = run_handctl(
@@ -102,8 +104,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
     assert result.returncode == 0, result.stderr
     with RunLog(Path("again.mcap")) as log:
         assert not fault_texts(log)
-        playback = np.array([change.name for change in log.phases])
-        assert "playback" in playback
+        phase_names = np.array([change.name for change in log.phases])
+        assert "playback" in phase_names
         replayed_angles_deg = np.degrees(
             np.nanmax(log.field("q")[log.mode == HandMode.ACTIVE][:, :3].mean(axis=1))
         )
@@ -128,10 +130,10 @@ def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
         assert int(frame["index"]) == i
         assert frame["task"]
     assert bool(dataset[frames - 1]["next.done"])
-    stats = dataset.meta.stats["action"]
+    action_statistics = dataset.meta.stats["action"]
     all_actions = np.array(dataset.hf_dataset["action"])
-    np.testing.assert_allclose(stats["mean"], all_actions.mean(axis=0), atol=1e-4)
-    np.testing.assert_allclose(stats["std"], all_actions.std(axis=0), atol=1e-4)
+    np.testing.assert_allclose(action_statistics["mean"], all_actions.mean(axis=0), atol=1e-4)
+    np.testing.assert_allclose(action_statistics["std"], all_actions.std(axis=0), atol=1e-4)
 
 
 def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:

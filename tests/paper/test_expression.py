@@ -28,7 +28,7 @@ FORMULA_TEXTS = sorted(
 @pytest.mark.parametrize("formula_text", FORMULA_TEXTS)
 def test_values_equal_those_of_sympy(formula_text: str) -> None:
     states, expression = random_states(), Expression(formula_text)
-    names = sorted(expression.names)
+    names = sorted(expression.quantity_names)
     sympy_function = sympy.lambdify(
         [sympy.Symbol(name) for name in names], sympy.sympify(formula_text), "numpy"
     )
@@ -71,7 +71,7 @@ def test_expression_is_typeset_as_expected(formula_text: str, typeset_text: str)
 
 def test_names_are_found_and_other_code_is_refused() -> None:
     assert typeset_name("L_L") == "L_L"
-    assert Expression("sin(th1)*pi*m2").names == {"th1", "m2"}
+    assert Expression("sin(th1)*pi*m2").quantity_names == {"th1", "m2"}
     for text in ("__import__('os')", "a if b else c", "[1]"):
         with pytest.raises((ValueError, KeyError)):
             Expression(text).evaluate({"a": 1.0})

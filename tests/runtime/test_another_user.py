@@ -91,7 +91,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 
 
 def check_refusals(expected_word: str) -> None:
-    """Check that handctl and the simulator refuse the run directory, and that a request is not confirmed.
+    """Check that handctl and the simulator refuse the run directory, and that no controller confirms a request.
 
     Check that the reason of each refusal contains ``expected_word``.
     """
@@ -179,10 +179,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
 
 @pytest.mark.parametrize("has_run_folder", [False, True])
 def test_a_link_is_refused(shared_tmp, has_run_folder):
-    """handctl refuses a run directory that is a symbolic link.
-
-    The owner and the target of the link make no difference.
-    """
+    """handctl refuses a run directory that is a symbolic link, whatever the owner and the target of the link are."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if has_run_folder:

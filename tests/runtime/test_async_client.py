@@ -124,8 +124,8 @@ def test_a_cancelled_start_leaves_no_armed_hand(
 ):
     """Reproduce a defect: if the start in ``async with`` timed out, the controller still armed the hand.
 
-    The body of the ``async with`` block had not begun. Therefore the client stayed open, and the
-    hand stayed armed.
+    When the timeout ended the start, the body of the ``async with`` block had not begun. Therefore
+    nothing closed the client, and the hand stayed armed.
     """
 
     async def connect_with_short_timeout():

@@ -130,10 +130,10 @@ def test_local_bus_carries_every_batch_both_ways(
     batch = FRAME_BATCH_BY_NAME[batch_name]
     all_records = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
-    sent = b""
-    while len(sent) < len(all_records):
-        sent += link.recv(1 << 20)
-    assert sent == all_records
+    sent_records = b""
+    while len(sent_records) < len(all_records):
+        sent_records += link.recv(1 << 20)
+    assert sent_records == all_records
     link.sendall(all_records)
     frames = drain_frames(bus, len(batch))
     assert frame_contents(frames) == [frame[:4] for frame in batch]
@@ -167,10 +167,10 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
                 all_records = b"".join(
                     frame_record(frame.can_id, frame.data, frame.flags) for frame in test_batch
                 )
-                sent = b""
-                while len(sent) < len(all_records):
-                    sent += link.recv(1 << 20)
-                assert sent == all_records
+                sent_records = b""
+                while len(sent_records) < len(all_records):
+                    sent_records += link.recv(1 << 20)
+                assert sent_records == all_records
                 link.sendall(all_records)
             else:
                 assert [link.recv(100) for _ in test_batch] == [
@@ -256,12 +256,14 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
     udp_bus: tuple[SocketCanBus, socket.socket],
     payload_size: int,
 ) -> None:
-    good = [Frame(1, b"good")]
+    good_frames = [Frame(1, b"good")]
     for bus, link in (local_bus, udp_bus):
         for _ in range(2):
             with pytest.raises(ValueError, match=f"payload of {payload_size} bytes in frame 0x7"):
-                bus.send(frames_as_records([*good, Frame(7, bytes(payload_size)), *good]))
-        assert bus.send(good) == 1
+                bus.send(
+                    frames_as_records([*good_frames, Frame(7, bytes(payload_size)), *good_frames])
+                )
+        assert bus.send(good_frames) == 1
         assert link.recv(1000).startswith(struct.pack("<IB", 1, 4))
 
 

@@ -23,7 +23,7 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 class BrokenCanBus(can.BusABC):
     """Interface of python-can that raises a given error.
 
-    The first ``failure_count`` calls of the interface raise the error.
+    The first ``failure_count`` calls of the interface raise ``error``. Later calls succeed.
     """
 
     def __init__(self, error: Exception, failure_count: int = 1_000_000) -> None:

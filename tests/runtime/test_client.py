@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    A user called ``move`` or ``hold`` with a mapping of digits as the first argument. The client
-    used the mapping as the duration of the motion, and raised the error "no digit".
+    If a user passed a mapping of digits to ``move`` or ``hold`` as the first argument, the client
+    used the mapping as the duration of the motion. The client then raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
@@ -155,7 +155,7 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
 def test_the_names_of_a_stream_are_a_list(unserved_client):
     """Reproduce a defect: if a user gave one digit name instead of a list, the client took each letter as a name.
 
-    The error message was "no digit 'i'".
+    For the digit name ``index``, the user got the error message "no digit 'i'".
     """
     with pytest.raises(
         ConfigError, match=r"stream.names: 'index'; expected a list, as in \['index'\]"

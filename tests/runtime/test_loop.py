@@ -32,14 +32,14 @@ class ScriptedClock:
     """
 
     late: list[int] = field(default_factory=list)
-    waits: list[int] = field(default_factory=list)
+    waited_ticks: list[int] = field(default_factory=list)
     began: int = 0
 
     def start(self) -> None:
         self.began += 1
 
     def wait(self, tick_index: int) -> int:
-        self.waits.append(tick_index)
+        self.waited_ticks.append(tick_index)
         return self.late.pop(0) if self.late else 0
 
     def now_ns(self) -> int:
@@ -141,7 +141,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
     assert run.go() == 5
     assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1, 2, 3, 4]
     assert [entry.t_ns for entry, _ in run.recorded_ticks] == [k * PERIOD_NS for k in range(5)]
-    assert run.clock.waits == [0, 1, 2, 3, 4]
+    assert run.clock.waited_ticks == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
     assert run.shown == run.recorded_ticks
     assert (run.loop.stats.ticks, run.loop.stats.missed_ticks) == (5, 0)
@@ -208,8 +208,8 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert list(run.loop.stats.tick_lateness_ns) == (lateness_by_tick + [0] * 4)[:4], (
         "the statistics have the measured lateness"
     )
-    waits = run.clock.waits
-    assert all(b > a for a, b in pairwise(waits)), "each deadline is waited for at most once"
+    waited_ticks = run.clock.waited_ticks
+    assert all(b > a for a, b in pairwise(waited_ticks)), "each deadline is waited for at most once"
 
 
 def test_received_frames_enter_one_tick_in_order() -> None:
@@ -393,7 +393,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     ) as message:
         times_of_polls(run, [])
     assert isinstance(message.value.__cause__, InjectedError)
-    assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
+    assert len(run.clock.waited_ticks) == 3 + 501, "half a second of ticks"
 
 
 def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
@@ -528,7 +528,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop stores the lateness of each of its last ticks.
+    """The control loop stores the lateness of only its last ``LATENESS_RING_TICKS`` ticks.
 
     At 500 Hz, the lateness of all ticks of a day would take 330 MiB of locked memory.
     """

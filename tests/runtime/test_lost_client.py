@@ -70,7 +70,7 @@ def test_a_lost_client_makes_the_hand_relax(
     work_folder, hand_truth_file, calibration_options, time_scale_options, client_end
 ):
     """Reproduce a defect: without a time limit, the hand kept the tension of a client that was lost."""
-    factor = float(time_scale_options[1])
+    time_scale = float(time_scale_options[1])
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     ).open()
@@ -80,7 +80,7 @@ def test_a_lost_client_makes_the_hand_relax(
         )
         try:
             if client_end != "hangs":
-                time.sleep(3.0 * LEASE_S / factor)
+                time.sleep(3.0 * LEASE_S / time_scale)
                 assert client.observe(wait=True).named("tension_N")[
                     "index_tendon"
                 ] == pytest.approx(HOLD_TENSION_N, abs=2.0)
@@ -118,17 +118,17 @@ def test_a_program_that_waits_keeps_its_hold(
 
     A client without a lease sends no signs of life (requests that renew a lease) to the controller.
     """
-    factor = float(time_scale_options[1])
+    time_scale = float(time_scale_options[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
     with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
         client.hold(index=HOLD_TENSION_N)
-        time.sleep(4.0 * LEASE_S / factor)
+        time.sleep(4.0 * LEASE_S / time_scale)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
         with library.connect("jamia", LOCAL_BUS, lease_s=None) as other_client:
             other_client.take_over()
             other_client.hold(index=HOLD_TENSION_N)
-            time.sleep(4.0 * LEASE_S / factor)
+            time.sleep(4.0 * LEASE_S / time_scale)
             assert client.observe(wait=True).mode == "ACTIVE"
     assert client.result["failure"] == ""
 

@@ -151,7 +151,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
     """After a controller was killed, its socket file still exists.
 
-    Although the socket file exists, the next controller can use the same name.
+    Nevertheless, the next controller can open a mailbox with the same name.
     """
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"

@@ -105,7 +105,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
     """Reproduce a defect: if another client stopped a move, the move counted as complete.
 
-    The call that had started the stopped move returned without an error.
+    The method ``move``, which waits for the end of the move, returned without an error.
     """
     ended = []
 
@@ -196,21 +196,32 @@ def test_every_watcher_gets_its_lines(work_folder):
 
 @pytest.fixture
 def fake_stream(work_folder):
-    """Return a stream that takes two angles [rad], and the list of the targets that the stream has sent [deg]."""
+    """Return a fake target stream, and the list of the targets that the stream sends.
+
+    A target consists of two joint angles. The caller gives the angles in rad, and the stream sends
+    the angles in deg.
+    """
     from handctl.client.stream import TargetStream
 
     class FakeTargetSender:
         def send(self, index, sent_ns, values):
-            sent.append(values.tolist())
+            sent_targets_deg.append(values.tolist())
             return True
 
         def close(self):
             pass
 
-    sent = []
-    goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
+    sent_targets_deg = []
+    stream_request = {
+        "stream": "1-1",
+        "names": ["index_j1", "thumb_j1"],
+        "rate_Hz": 100.0,
+        "space": "joint",
+    }
     owner = SimpleNamespace(description=load_hand("jamia"))
-    return TargetStream(owner, FakeTargetSender(), goal, "rad", 0.012, 1.0), sent
+    return TargetStream(
+        owner, FakeTargetSender(), stream_request, "rad", 0.012, 1.0
+    ), sent_targets_deg
 
 
 def test_values_are_checked_before_they_are_sent(fake_stream):

@@ -20,9 +20,9 @@ DEFERRED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing
 
 
 class _DeferredAttribute:
-    """Stand-in for a function or a probability distribution of a module.
+    """Stand-in for an attribute of a module: a function or a probability distribution.
 
-    The first use of the function imports the module.
+    The first use of the stand-in imports the module.
     """
 
     def __init__(self, module_name: str, name: str) -> None:

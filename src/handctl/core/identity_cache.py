@@ -47,8 +47,9 @@ class SequenceCache(Generic[T]):
 class IdentityCache(Generic[T]):
     """Cache of a function's results for immutable objects.
 
-    An object is found by its identity. Equality would not be sufficient, because 1, 1.0 and True
-    are equal, but the function returns different bytes for them.
+    The cache finds the stored result of an object by the identity of the object. Equality would not
+    be sufficient, because 1, 1.0 and True are equal, but the function returns different bytes for
+    them.
     """
 
     def __init__(self, serialize: Callable[[T], bytes]) -> None:

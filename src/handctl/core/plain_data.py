@@ -123,8 +123,8 @@ def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
 def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    The bytes of the fields can come from a cache. With a cache, the function is fast if most fields
-    are the same objects as in the last call.
+    ``serialize_field`` can take the bytes of a field from a cache. With a cache, the function is
+    fast if most fields of ``value`` are the same objects as in the last call.
 
     Args:
         value: object of a dataclass.

@@ -63,9 +63,9 @@ def verdict_of_statement(is_true: bool) -> ErrataVerdict:
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """Return the verdict on a lower bound that the paper states.
 
-    `value` is a value of the same quantity that was reached in practice. The lower bound is judged
-    like any printed number, with one exception. If the verdict would be ``wrong`` and the value is
-    above the printed bound, the verdict is ``bound``.
+    The argument ``value`` is a value that the bounded quantity reached in practice. The verdict
+    compares ``value`` with the printed bound, as for any printed number, with one exception. If the
+    verdict would be ``wrong`` and ``value`` is above the printed bound, the verdict is ``bound``.
     """
     verdict = verdict_of_number(printed_number, value)
     return (

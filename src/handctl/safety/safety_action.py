@@ -30,7 +30,7 @@ class SafetyAction(enum.IntEnum):
 class RelaxMethod(enum.Enum):
     """Method by which the reaction RELAX removes the torque.
 
-    None of the methods raises a commanded torque (``controller.relaxation``).
+    No method of relaxing ever raises the commanded torque of a motor (``controller.relaxation``).
     """
 
     TENSION_LOOP = "RELAX"

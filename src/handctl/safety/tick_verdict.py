@@ -1,9 +1,9 @@
-"""Judgement of each tick.
+"""Safety decision in each tick: active faults, latched faults, and the reaction.
 
-The judgement latches faults, counts reported faults, and chooses the reaction. Compiled code
-(``core.detectors.fault_detection``) debounces the faults that the detectors find. The module
-``tick_verdict`` finds the names of newly active faults, and debounces the reported faults. The
-module latches faults until an operator clears the faults.
+Compiled code (``core.detectors.fault_detection``) debounces the faults that the detectors find.
+This module determines which part of the hand each newly active fault affects, and debounces the
+reported faults. This module also latches faults until an operator clears the faults, and chooses
+the most severe reaction.
 """
 
 from collections.abc import Iterable, Sequence
@@ -42,7 +42,11 @@ class LatchedFault(NamedTuple):
 
 
 class ReportedFault(NamedTuple):
-    """Fault that is reported in the present tick. The attribute ``ticks`` counts consecutive ticks with a report."""
+    """Fault that a bus, the host or the recorder reports in the present tick.
+
+    The attribute ``ticks`` is the number of consecutive ticks, up to the present tick, in which the
+    fault was reported.
+    """
 
     id: str
     part_name: str
@@ -50,7 +54,7 @@ class ReportedFault(NamedTuple):
 
 
 class FaultFinding(NamedTuple):
-    """Fault that became active in the judged tick."""
+    """Fault that became active in the present tick."""
 
     fault: Fault
     part_name: str
@@ -58,13 +62,13 @@ class FaultFinding(NamedTuple):
 
 
 class TickVerdict(NamedTuple):
-    """Result of the judgement of a tick.
+    """Safety decision in a tick: the reaction to the present faults, and the state of all faults.
 
     Attributes:
         action: most severe reaction to the faults that are present.
-        findings: faults that became active in the judged tick.
+        findings: faults that became active in this tick.
         latched_faults: all faults that are latched at the end of the tick.
-        reported_faults: faults that are reported in the judged tick.
+        reported_faults: faults that are reported in this tick.
     """
 
     action: SafetyAction
@@ -88,10 +92,10 @@ def judge_tick(
     Args:
         latched_faults: latched faults of the last tick.
         reported_faults: faults that were reported in the last tick.
-        detected_faults: faults that became active in the judged tick according to the detectors,
+        detected_faults: faults that became active in the present tick according to the detectors,
             from ``newly_active_faults``.
         demanded_action: most severe reaction to all active faults that the detectors have found.
-        event_reports: reports of buses, host and recorder in the judged tick, for
+        event_reports: reports of buses, host and recorder in the present tick, for
             ``locate_reports``.
     """
     action = demanded_action
@@ -134,7 +138,7 @@ def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
 def newly_active_faults(
     limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
 ) -> list[FaultFinding]:
-    """Return the faults that became active in the judged tick, in the order of the fault table.
+    """Return the faults that became active in the present tick, in the order of the fault table.
 
     Args:
         limits: safety limits of the hand, with the names of tendons, motors, joints and nodes.

@@ -462,7 +462,7 @@ def _motion_force_terms(
 def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a tendon is slack and the digit of the tendon follows streamed angles.
 
-    A spool pair is never slack.
+    A spool pair (two antagonistic tendons on one spool) never counts as slack.
     """
     if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
         return False
@@ -706,8 +706,8 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
 
     The integral of the tension error compensates the friction of a rotor at rest. A digit without
     contact cannot resist arbitrary streamed tensions, so the digit moves and the tension errors
-    persist. The integrals of persistent tension errors would move the digit further, and the digit
-    would oscillate between its stops. During a stream of tensions, the tension integral of a moving
+    persist. If the function integrated the persistent errors without a decay, the digit would
+    oscillate between its stops. During a stream of tensions, the tension integral of a moving
     tendon decays, so that the digit does not oscillate.
 
     Args:

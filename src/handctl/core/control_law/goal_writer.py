@@ -1,6 +1,6 @@
 """Transfer of the goals of all digits into the state block.
 
-The transfer is necessary only after a change of the goals.
+The state block needs a new transfer only after a goal of a digit has changed.
 """
 
 import functools
@@ -78,14 +78,14 @@ def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
     """Write the motion at time t [s] for trajectories that compiled code cannot evaluate."""
-    for trajectory, start_time, coordinate_slice in program_sampled_goals(model, goals):
+    for trajectory, start_time, coordinate_slice in trajectories_evaluated_by_python(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, coordinate_slice] = (
             trajectory.motion_at(t - start_time)
         )
 
 
 @functools.lru_cache(maxsize=16)
-def program_sampled_goals(
+def trajectories_evaluated_by_python(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return the trajectories that Python code must evaluate, each with start time [s] and coordinates."""

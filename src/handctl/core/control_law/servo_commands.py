@@ -71,13 +71,13 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     If a drive changes the commanded position continuously, at the commanded velocity, the stored
     position is the present commanded position in the drive.
     """
-    elapsed = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    elapsed_s = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
         for row in range(SERVO_COMMAND_ROW_COUNT):
             x.servo[s.LAST_SERVO_COMMAND + row, n] = x.servo[s.SERVO_POSITION + row, n]
             x.servo[s.SERVO_POSITION + row, n] = 0.0
         if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-            x.servo[s.LAST_SERVO_COMMAND, n] += elapsed * x.servo[s.LAST_SERVO_COMMAND + 1, n]
+            x.servo[s.LAST_SERVO_COMMAND, n] += elapsed_s * x.servo[s.LAST_SERVO_COMMAND + 1, n]
 
 
 @kernel_helper

@@ -59,10 +59,10 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     For a tendon without a load cell, the latest load-cell frame of the sensor node is used. The
     result is 0 in a hand without load cells.
     """
-    group = c.tendon_int[h.CELL_GROUP, n]
+    cell_group = c.tendon_int[h.CELL_GROUP, n]
     last_reading_ns = -1
     for g in range(c.run_int[h.TENSION_GROUP_COUNT]):
-        if g == group or group < 0:
+        if g == cell_group or cell_group < 0:
             last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_RECEIVED_NS, g])
     if c.run_int[h.TENSION_GROUP_COUNT] == 0:
         return 0

@@ -7,9 +7,9 @@ rotor, a is the acceleration at the spool, and v is the speed at the spool. The 
 force, and T is the tension. The friction consists of viscous friction with the coefficient b and of
 the Coulomb friction c. If the measurements disagree with this equation for 0.2 s, the load cell,
 the motor or the friction does not behave as in the model. The thresholds of the residuals are far
-above the noise, and cause less than one false alarm in ten thousand hours. A second low-pass filter
-of the main residual has a time constant of 20 ms. The residual with the time constant of 20 ms
-shows a tension that is much larger than the commanded force of the motor.
+above the noise, and cause less than one false alarm in ten thousand hours. In a second, faster
+residual, the main residual is low-passed with a time constant of 20 ms. The faster residual shows a
+tension that is much larger than the commanded force of the motor.
 """
 
 import math

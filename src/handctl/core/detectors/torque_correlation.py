@@ -17,16 +17,15 @@ covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white 
 
 When a digit touches an object, the changes of the command are a hundred times as large as in a
 hold. Without a limit, the large changes of the command would dominate the products S for seconds
-after the contact. The test limits all changes of command and report to two counts of the torque.
-The limit keeps the signs of the changes. If a drive obeys its commands, the limited changes of
-command and report have equal signs.
+after the contact. The test limits the changes a and b to two counts of the torque. The limit keeps
+the signs of a and b. If a drive obeys its commands, the limited changes a and b have equal signs.
 
-The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks,
-each with a reply in time. After a pause of the communication, a drive replies to all waiting
-commands before it obeys the last command. After a pause of the communication, the next report of
-the drive belongs to an older command. On a slow bus, a report can come a tick late, and then
-belongs to a command that is one tick older. The test computes the correlation with and without a
-delay of one tick, and uses the larger correlation.
+The test uses the changes a and b only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks in which the
+drive replied in time. After a pause of the communication, a drive replies to all waiting commands
+before it obeys the last command. After a pause of the communication, the next report of the drive
+belongs to an older command. On a slow bus, a report can come a tick late, and then belongs to a
+command that is one tick older. The test computes the correlation with and without a delay of one
+tick, and uses the larger correlation.
 """
 
 import math

@@ -2,11 +2,12 @@
 
 The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
 object is a sign of slip. While a digit closes, the part of its tensions that the model does not
-explain is converted into a force at the tip. The weight of a tendon in the conversion to a tip
-force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon has the
-largest weight, because it bears the largest tension and has the least friction. The tip force is
-averaged over a few milliseconds by a low-pass filter. The force of a contact remains after the
-low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
+explain is converted into a force at the tip. The tip force is a weighted combination of the
+unexplained tensions. The weight of a tendon is the tension that a force of 1 N at the tip causes in
+this tendon. A proximal tendon has the largest weight, because a proximal tendon bears the largest
+tension and has the least friction. The tip force is averaged over a few milliseconds by a low-pass
+filter. The force of a contact remains after the low-pass filter. The alternating force of a
+chattering tendon cancels out in the low-pass filter.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
 negative and hides a contact. A contact force grows faster than the error of a wrong model. To

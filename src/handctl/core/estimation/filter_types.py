@@ -116,7 +116,9 @@ hand have 6^11 combinations of design kinds.
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Filter designs of all tendons, with one filter for each pair of a tendon and a kind of design.
+    """Filters of all tendons. Each tendon has one filter for each kind of design.
+
+    A kind of design is a regime (free, held or slack) with or without added process noise.
 
     Attributes:
         blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The index

@@ -434,7 +434,7 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return the resistance, the speed-signed pull, and the pull of each tendon, (3, N) [N].
+    """Return three tensions at the joints for each tendon: resistance, speed-signed pull, and pull, (3, N) [N].
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
     estimated tension at the joints, after the friction of the pulleys. If the control law has

@@ -161,7 +161,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     columns = np.zeros((2 * place_count + 2, joints))
-    turns, deviation = _contact_turns(x, c)
+    turns, deviation = _joint_turns_by_contact(x, c)
     _write_angle_errors_of_free_digits(x, c, columns[2 * place_count :])
     for j in range(joints):
         mean = 0.0
@@ -194,7 +194,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
+def _joint_turns_by_contact(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turns of the joints that a contact at each assumed place causes (H, J), and their deviations [rad]."""
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]

@@ -183,7 +183,10 @@ def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
-    """Write the tables R, R B and B (R B)^+ and the offsets of a digit, for joint angles q (J,) [rad]."""
+    """Write a digit's tables R, R B and B (R B)^+ and its excursion offsets, for joint angles q (J,) [rad].
+
+    R are the moment arms of the digit's tendons, and B is the coupling of its joints.
+    """
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
     first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]

@@ -60,7 +60,7 @@ class GainBounds:
 
 
 class TendonKey(NamedTuple):
-    """Key of a force for a single tendon, split into its parts.
+    """Parts of a gain key that sets a force of a single tendon, such as ``tendon.wrist_flex.motion_force_N``.
 
     Attributes:
         tendon: name of the tendon.

@@ -51,7 +51,7 @@ SLIP_DISTANCE_M = 2e-3
 """Largest displacement at which the object does not count as slipping [m]."""
 SPEED_WINDOW_S = 0.1
 """Length of the window over which the speed of the object is measured [s]."""
-AVERAGED_ROW_COUNT = 100
+AVERAGED_SAMPLE_COUNT = 100
 """Number of rows of the ground truth over which normal forces are averaged.
 
 The ground truth has a row for each millisecond.
@@ -80,10 +80,10 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
     The search increases the tension in steps. The returned tension is interpolated between the
     tension steps. Because of friction, the normal force also depends on the earlier tension steps.
-    Therefore a second grip begins directly with the interpolated tension. From the normal forces in
-    the second grip, the function computes one correction of the tension. The thumb must balance the
-    fingers. Therefore the tension of the thumb is the mean tension of the fingers. In all runs with
-    the same diameter, the grip begins at the same time.
+    To avoid the influence of earlier steps, a second grip begins directly with the interpolated
+    tension. From the normal forces in the second grip, the function computes one correction of the
+    tension. The thumb must balance the fingers. Therefore the tension of the thumb is the mean
+    tension of the fingers. In all runs with the same diameter, the grip begins at the same time.
     """
     names = src.paper_hand().digit_names
     phases = [
@@ -139,9 +139,9 @@ def load_until_slip(
     """Grip a cylinder, pull the cylinder with a growing force until it slips, and return the result as plain values."""
     tension = grip_result["tension_N"]
     hold_phase = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
-    start = grip_result["began_s"] + GRIP_SETTLING_S
-    recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold_phase])
-    first_row = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
+    load_start_s = grip_result["began_s"] + GRIP_SETTLING_S
+    recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, load_start_s, [hold_phase])
+    first_row = int(np.searchsorted(truth.t_ns, round(load_start_s * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normal_forces = _mean_normal_forces(truth, int(truth.t_ns[first_row]))
     slip, end_reason = _find_slip(truth, first_row, end)
@@ -222,7 +222,7 @@ def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
 def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the normal force [N] of each digit, averaged over the ground-truth samples before a given time."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
-    times = truth.t_ns[end - AVERAGED_ROW_COUNT : end]
+    times = truth.t_ns[end - AVERAGED_SAMPLE_COUNT : end]
     return [
         float(truth.interpolated_column(f"normal/{name}", times).mean())
         for name in src.paper_hand().digit_names

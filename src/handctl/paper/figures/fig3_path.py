@@ -15,7 +15,7 @@ from handctl.paper.figures.style import BLUE, GREY, RED
 from handctl.paper.model import kinematics
 
 PATH_FIGURE_SIZE_IN = (9.6, 4.5)
-AREA_CELL_MM = 0.25
+AREA_GRID_CELL_MM = 0.25
 """Edge length of the square cells of which the drawn area consists [mm]."""
 SAMPLE_COUNTS = {"index": 161, "thumb": 900}
 """Number of sampled angles of each joint, by digit."""
@@ -80,7 +80,10 @@ def _draw_reachable_area(
     axes: Any, tip_positions: Array, x_limits: tuple[float, float], y_limits: tuple[float, float]
 ) -> None:
     """Fill the grid cells that contain a sampled position of the fingertip, and the gaps between these cells."""
-    bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
+    bins = [
+        np.arange(low, high + AREA_GRID_CELL_MM, AREA_GRID_CELL_MM)
+        for low, high in (x_limits, y_limits)
+    ]
     # Without the filling, empty cells between two samples would look like positions that the tip
     # cannot reach.
     reached_cells = binary_closing(

@@ -75,11 +75,11 @@ def _check_coupling() -> list[ErrataItem]:
     tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
-    arms = src.paper_hand().moment_arms[
+    moment_arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
-    # The variable `free` is the number of joint motions that no tendon controls.
-    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(arms))
+    # The variable `free_dimensions` is the number of joint motions that no tendon controls.
+    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(moment_arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
@@ -149,7 +149,8 @@ def _check_bending() -> ErrataItem:
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
     """Return the normal forces (3,) [N] that act at the middles of three links.
 
-    The normal forces balance the tendon, which runs over equal pulleys.
+    The normal forces balance the joint torques of a tendon with the given tension [N]. At each
+    joint, the tendon runs over a pulley of the same radius.
     """
     lengths = np.array(paper_digit("index").lengths)
     link_angles = np.cumsum(np.radians(angles_deg))

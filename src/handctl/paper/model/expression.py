@@ -1,8 +1,8 @@
 """Formulas given as text, such as ``L1*cos(th1)``.
 
 A formula can be evaluated with numbers or arrays, checked for dimensions, and typeset. The tests
-check the text of each formula with sympy. Therefore the formulas on the page about the paper are
-exactly the checked formulas.
+check the text of each formula with sympy. The documentation page about the paper is typeset from
+the same texts, so the page shows exactly the checked formulas.
 """
 
 import ast
@@ -40,7 +40,7 @@ class Expression:
         return ast.parse(self.text, mode="eval").body
 
     @property
-    def names(self) -> frozenset[str]:
+    def quantity_names(self) -> frozenset[str]:
         """Return the names of the quantities in the formula, without the names of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})

@@ -173,9 +173,9 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 def _asymmetry_text(term: EquationTerm) -> str:
     """Compare the printed coefficients of two terms that must be equal because the inertia matrix is symmetric.
 
-    The second term is the term whose identifier is ``mirror_id``. If the coefficients differ,
-    return a text about the difference. If the coefficients are equal, or if there is no second
-    term, return an empty text.
+    The second term is the term whose identifier is ``mirror_id``. If the printed coefficients of
+    the two terms differ, return a text that describes the difference. If the coefficients are
+    equal, or if there is no second term, return an empty text.
     """
     if not term.mirror_id:
         return ""
@@ -301,5 +301,5 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
 
 
 def printed_equation_value(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the value of a printed equation. The first reading of each ambiguous term is used."""
+    """Return the value of a printed equation. An ambiguous term contributes the value of its first reading."""
     return sum(term.readings[0].evaluate(states) for term in terms)

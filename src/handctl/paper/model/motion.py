@@ -180,7 +180,9 @@ def _check_torque_value() -> ErrataItem:
         for term in terms
         if not term.printed_form.startswith("(")
     ]
-    numbers = [term.id for term in terms if not any(reading.names for reading in term.readings)]
+    numbers = [
+        term.id for term in terms if not any(reading.quantity_names for reading in term.readings)
+    ]
     return ErrataItem(
         "sec8.torque", "Sec. 8", "dynamic modeling suggested the approximate value of the torque", peak, "mN m",
         verdict_of_statement(bool(numbers)),

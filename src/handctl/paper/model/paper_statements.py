@@ -19,7 +19,7 @@ from handctl.paper.verdicts import (
 COUNT_TAG = ("count",)
 SYMBOL_PATTERN = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
 """Pattern of a symbol in a printed equation: a letter with or without an index."""
-CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
+CONTROL_LAW_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
 """Words by which the meaning of a symbol of a control law is recognised."""
 MEANING_BY_SYMBOL = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
@@ -49,15 +49,15 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
     total = sum(joints)
     # The rank of the moment arms is the number of motions that the tendons of a digit control
     # independently.
-    ranks = [
+    moment_arm_ranks = [
         int(np.linalg.matrix_rank(hand.moment_arms[tendons]))
         for tendons in hand.digit_tendons.values()
     ]
-    spread = " + ".join(map(str, joints))
+    joint_sum_text = " + ".join(map(str, joints))
     return [
         ErrataItem("abstract.joints", "Abstract, Sec. 1", "a total of 11 DOF", total, "",
             verdict_of_number("11", total),
-             f"{spread} joints.", COUNT_TAG),
+             f"{joint_sum_text} joints.", COUNT_TAG),
         ErrataItem("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
              verdict_of_ambiguous_statement(
                  [verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]
@@ -66,11 +66,11 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
              f"{joints_per_digit * len(joints)}, not {total}. The paper does not state whether the thumb "
              "counts as a finger.", COUNT_TAG),
         ErrataItem("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom",
-            max(ranks), "",
-             verdict_of_number("1", max(ranks)),
+            max(moment_arm_ranks), "",
+             verdict_of_number("1", max(moment_arm_ranks)),
              f"This is true for the motions that the motors control: the tendons of each digit have rank 1, "
-             f"{sum(ranks)} in all, for {total} joints. It contradicts the three DOF two sentences before. The paper "
-             "never distinguishes joints from controlled motions.",
+             f"{sum(moment_arm_ranks)} in all, for {total} joints. It contradicts the three DOF two sentences before. "
+             "The paper never distinguishes joints from controlled motions.",
              COUNT_TAG),
     ]  # fmt: skip
 
@@ -84,7 +84,7 @@ def _check_palm_joint() -> ErrataItem:
     angles = {
         name
         for term in equations.KINETIC_TERMS
-        for name in term.correct_form.names
+        for name in term.correct_form.quantity_names
         if name.startswith("dth")
     }
     readings = [joints - 1 == len(angles), joints == len(angles)]
@@ -119,7 +119,8 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
 def _check_phalanges() -> ErrataItem:
     """Check whether the energy of each link is independent of the motion of the other links.
 
-    If the links were separate fingers, the energies would be independent.
+    The paper describes the three links as three fingers. If the links were separate fingers, the
+    energy of a link would not depend on the motion of the other links.
     """
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
@@ -203,9 +204,11 @@ def _check_control_law() -> ErrataItem:
         "angle",
         "torque",
     }
-    control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
+    control_law_meanings = [
+        meaning for meaning in meanings if any(word in meaning for word in CONTROL_LAW_WORDS)
+    ]
     return ErrataItem(
-        "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control)), "",
-        verdict_of_statement(bool(control)),
+        "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control_law_meanings)), "",
+        verdict_of_statement(bool(control_law_meanings)),
         "No symbol of any equation is a desired or measured value: the paper has no control law.",
         COUNT_TAG)  # fmt: skip

@@ -144,9 +144,9 @@ def _check_formulas() -> list[ErrataItem]:
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
     spool = hand.motor_of_tendon(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
-    grip_force_n = float(src.FINGER_GRIP_FORCE_N)
+    grip_force_N = float(src.FINGER_GRIP_FORCE_N)
     values = {
-        "T": tension, "F": grip_force_n, "r_p": float(src.PULLEY_RADIUS_MM) / 1000,
+        "T": tension, "F": grip_force_N, "r_p": float(src.PULLEY_RADIUS_MM) / 1000,
         "r_a": float(src.SPOOL_RADIUS_MM) / 1000,
         "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT),
         "sigma": 1e6 * float(src.ALLOWABLE_STRESS_MPA),

@@ -1,18 +1,18 @@
 """Types for faults and for rows of the fault catalogue, and functions that declare faults and rows.
 
 A row of the fault catalogue describes a possible failure. A fault is a condition that the
-controller checks in every tick. Each fault belongs to one row. If a row has several faults, such as
-B11a and B11b, the faults are called the stages of the row. Rows and faults are declared in the
-modules ``bus``, ``node``, ``tendon`` and ``host``. Each declaration is the only source of four
-things: the tables in the documents, the deadlines in the tests that inject faults, the event texts,
-and the reactions.
+controller checks in every tick. Each fault belongs to one row of the fault catalogue. A row can
+have several faults, such as B11a and B11b, which are called the stages of the row. The modules
+``bus``, ``node``, ``tendon`` and ``host`` declare the catalogue rows and the faults. Each
+declaration is the only source of four things: the tables in the documents, the deadlines in the
+tests that inject faults, the event texts, and the reactions.
 
-There are two ways to find a fault. Compiled code in ``core.detectors`` detects a fault that is
-declared with the argument ``fault_places``. The argument ``fault_places`` lists the kinds of parts
-that the fault can affect, such as motors or tendons. The function ``declare_fault`` returns an
-index: the row of the evidence table in which the detectors store their results about the fault. An
-example is ``evidence[N07_NOISY_ENCODER, motor]``, where N07_NOISY_ENCODER is the index. A fault
-with the argument ``reports`` is reported by a bus, the host or the recorder.
+A fault is either detected by compiled code in ``core.detectors``, or reported by a bus, the host or
+the recorder. The argument ``fault_places`` of ``declare_fault`` lists the kinds of parts that a
+detected fault can affect, such as motors or tendons. The argument ``reports`` lists the events that
+report a fault. The function ``declare_fault`` returns an index: the row of the evidence table in
+which the detectors store their results about the fault. For example, N07_NOISY_ENCODER is the index
+in ``evidence[N07_NOISY_ENCODER, motor]``.
 """
 
 from dataclasses import dataclass
@@ -105,7 +105,8 @@ class CatalogueRow(NamedTuple):
     def max_reaction_time_ms(self, rate_hz: float) -> float:
         """Return the longest permitted time from the failure to the reaction at the control rate ``rate_hz`` [ms].
 
-        The reaction time does not include ``odrive_extra_ms``.
+        With an ODrive, the reaction is permitted to take ``odrive_extra_ms`` longer than the
+        returned time.
         """
         return self.ticks * 1e3 / rate_hz + self.ms
 
@@ -114,8 +115,8 @@ class CatalogueRow(NamedTuple):
 class Fault:
     """Fault that the controller checks in every tick.
 
-    A fault belongs to one row of the catalogue. If a row has several faults, the faults are called
-    the stages of the row.
+    Each fault belongs to one row of the fault catalogue. A row can have several faults, which are
+    called the stages of the row.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
@@ -162,7 +163,7 @@ class Fault:
 
     @property
     def reaction_name(self) -> str:
-        """Return the name of the reaction for tables, including the method of relaxing."""
+        """Return the name of the reaction for tables. For the reaction RELAX, the name includes the relax method."""
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
@@ -172,13 +173,13 @@ class Fault:
 
     @property
     def row(self) -> str:
-        """Return the identifier of the catalogue row, without the letter of the stage."""
+        """Return the identifier of the fault's catalogue row: B11 for the faults B11a and B11b."""
         # A stage has a letter from a to d behind the two digits of the identifier.
         return self.id.rstrip("abcd")
 
 
 DECLARED_ROWS: list[CatalogueRow] = []
-"""All rows of the catalogue, in the order of their declaration."""
+"""All rows of the fault catalogue, in the order of their declaration."""
 DECLARED_FAULTS: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
@@ -189,7 +190,7 @@ If a fault can affect several kinds of parts, the rows of these kinds are adjace
 
 
 def declare_catalogue_row(*args: object, **details: object) -> None:
-    """Declare a row of the catalogue. For the arguments see ``CatalogueRow``."""
+    """Declare a row of the fault catalogue. For the arguments see ``CatalogueRow``."""
     DECLARED_ROWS.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
 
 
@@ -215,7 +216,7 @@ def declare_fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        First row of the fault in the table of the detectors' results. The result is -1 for a
+        First row of the fault in the evidence table, or -1 for a
         reported fault, which has no detector.
     """
     fault = Fault(

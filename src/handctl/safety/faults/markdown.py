@@ -39,7 +39,8 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
 def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
-    The table contains the visibility of each failure with each drive protocol.
+    For each failure and each drive protocol, the table states whether the failure is detected,
+    replaced by a weaker sign, or lost.
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
@@ -56,7 +57,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
         or row.checked_by
     )
     latest_reaction_text = (
-        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_max_reaction_ticks(row)} ticks"
     )
     latest_reaction_text += (
         f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
@@ -76,31 +77,33 @@ def _catalogue_row(row: CatalogueRow) -> str:
     )
 
 
-def _ticks_text(row: CatalogueRow) -> int:
+def _max_reaction_ticks(row: CatalogueRow) -> int:
     return round(row.max_reaction_time_ms(CATALOGUE_RATE_HZ) * CATALOGUE_RATE_HZ / 1e3)
 
 
 def reacts_too_late(row: CatalogueRow) -> bool:
-    """Return True if a row has a later reaction than the project's fault catalogue allows.
+    """Return True if the reaction to a failure can take more ticks than the project's fault catalogue requires.
 
-    If the catalogue states no time for the row, the result is False.
+    If the project's fault catalogue requires no reaction time for the failure, the result is False.
     """
-    return 0 < row.required < _ticks_text(row)
+    return 0 < row.required < _max_reaction_ticks(row)
 
 
-def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return as Markdown all catalogue rows with a later reaction than allowed, with the reasons.
+def late_reactions_markdown(catalogue_rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+    """Return a Markdown table of the failures to which handctl can react later than required.
 
-    The project's fault catalogue states the allowed reaction times.
+    The project's fault catalogue requires the reaction times. The table states the reason for each
+    late reaction.
     """
-    rows = [
-        f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
-        f"| {e.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {e.why} |"
-        for e in entries
-        if reacts_too_late(e)
+    table_rows = [
+        f"| {row.id} | {row.title} | {row.required} | {_max_reaction_ticks(row)} "
+        f"| {row.required * CATALOGUE_PERIOD_MS:g} ms "
+        f"| {row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {row.why} |"
+        for row in catalogue_rows
+        if reacts_too_late(row)
     ]
     title_line = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
-    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *rows])
+    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *table_rows])
 
 
 def hardware_checklist() -> str:
