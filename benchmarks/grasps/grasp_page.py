@@ -188,7 +188,7 @@ def write_page(result: dict[str, Any]) -> None:
 
     In the page, each table is between two comments that name the table.
 
-    If the result contains grasps, also draw the picture.
+    If the result has the results of grasps (``success``), also call ``draw_picture``.
     """
     page = PAGE_FILE.read_text("utf-8")
     for key, table in TABLE_FUNCTION_BY_KEY.items():

@@ -273,7 +273,7 @@ def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
     """Keep the winding of a motor at a constant temperature.
 
-    The size of the fault is this temperature [degC].
+    The size of the fault is the temperature of the winding [degC].
     """
     thermal = world.node_of(active.fault.instance).thermal
     active.count_effect(world.t_ns)

@@ -127,7 +127,7 @@ def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int)
 
 
 def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Hold back the first frame of an answer. Send it after the frames of the next answer."""
+    """Hold back the first frame of an answer, and send this frame after the frames of the next answer."""
     delayed_frames = [frame for _, frame in active.delayed_frames]
     active.delayed_frames = []
     if not delayed_frames and active.affects_frame():
@@ -200,8 +200,8 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Replace the frames of each answer by the frames of an earlier answer.
 
-    In place of answer k, the node sends answer k - n, where n is the size of the fault. The first n
-    answers stay unchanged.
+    In place of answer k, the node sends answer k - ``fault.size``. The first ``fault.size`` answers
+    stay unchanged.
     """
     active.answer_count += 1
     # The release time of the stored frames is NEVER_NS plus the number of the answer. So

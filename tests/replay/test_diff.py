@@ -103,8 +103,8 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     """If a joint is at rest, the signal of its angle is only noise in both runs.
 
-    There is always a time shift at which the noise of both runs agrees best. The time shift of the
-    noise must not be reported as a delay of the joint.
+    There is always a time shift at which the noise of both runs agrees best. The comparison must
+    not report this time shift as a delay of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))

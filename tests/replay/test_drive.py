@@ -29,7 +29,7 @@ from handctl.replay.run_comparison import (
 
 @pytest.fixture(scope="module")
 def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Let a simulated hand perform the golden grasp again at another control rate and with other sensor noise.
+    """Repeat the golden log jamia-grasp on a simulated hand, at another control rate and with other sensor noise.
 
     Return the path of the new log.
     """

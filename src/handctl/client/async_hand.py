@@ -29,7 +29,7 @@ class AsyncHandClient:
 
     Every method has the same effect as the ``HandClient`` method with the same name, and raises the
     same errors. Each call of a method runs in a thread, so that other tasks of the event loop
-    continue. ``observe`` is an ordinary method, because it returns at once. If a task is cancelled
+    continue. ``observe`` is not a coroutine, because it returns at once. If a task is cancelled
     during a call, the hand keeps its present goal. To bring the hand to rest after a cancellation,
     call ``hold``.
 

@@ -147,8 +147,8 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 def _tendon_label(tendon: Tendon) -> str:
     """Return the label of a tendon.
 
-    The label of a tendon in a spool pair is the name and the pretension. Every other label is the
-    name.
+    The label of a tendon in a spool pair is the name and the pretension. The label of any other
+    tendon is only the name.
     """
     if tendon.pretension_N is None:
         return tendon.name

@@ -325,7 +325,10 @@ def _mark_positions(
 def _write_mark_name(
     axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
 ) -> None:
-    """Write the name of a mark into each plot of a row, at the time [s] and the height of the mark."""
+    """Write the name of a time mark into each plot of a row of the figure.
+
+    The argument ``position`` contains the time [s], and the height as a fraction of the plot.
+    """
     for axes in axes_row:
         style = {
             "fontsize": 7,

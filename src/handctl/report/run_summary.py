@@ -43,7 +43,7 @@ TENSION_ERROR_KEYS = (
 def summarise_run(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> dict[str, Any]:
-    """Return all numbers about a run.
+    """Return the summary of a run: rates, lateness, and errors of angles, tensions and the grasp.
 
     Args:
         log: log of the run.
@@ -289,8 +289,9 @@ def judge_tension(
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N), True where a tendon follows a tension target because of a contact of the digit.
 
-    A spool pair for sideways motion is excluded, because it holds a position instead of a tension.
-    A digit on which other digits are mounted, such as a wrist, is also excluded.
+    The mask is False for a spool pair for sideways motion, because such a pair holds a position
+    instead of a tension. The mask is also False for a digit on which other digits are mounted, such
+    as a wrist.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(

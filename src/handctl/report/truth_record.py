@@ -70,9 +70,9 @@ class TruthRecord:
     def interpolated_columns(
         self, column_names: list[str], t_ns: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return the named columns of the record (times, names), interpolated at the given times.
+        """Return the columns with the given names, interpolated at the given times.
 
-        The times are on the clock of the simulator [ns].
+        The result has the shape (times, columns). The times are on the clock of the simulator [ns].
         """
         return np.column_stack([self.interpolated_column(name, t_ns) for name in column_names])
 

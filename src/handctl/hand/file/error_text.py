@@ -211,7 +211,7 @@ def _unknown_key_mistake(
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
-    As the valid value, the mistake proposes the most similar valid key.
+    The mistake proposes the valid key that is most similar to the unknown key.
     """
     if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
@@ -252,8 +252,8 @@ def with_paths_in_hand_file(
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     """Join mistakes that differ only in the section name of their key path.
 
-    A joined mistake replaces the first of the mistakes that it joins. The key path of a joined
-    mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
+    The result has a joined mistake at the position of the first of its single mistakes. The key
+    path of a joined mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
@@ -300,8 +300,8 @@ def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     """Convert a key path of a hand file's resolved content to the key path in the hand file.
 
-    The function replaces the longest prefix of the key path that ``origin_of_path`` contains. The
-    rest of the key path is unchanged.
+    Some prefixes of the key path are keys of ``origin_of_path``. The function replaces the longest
+    of these prefixes. The rest of the key path is unchanged.
     """
     known_path = path
     while known_path:
