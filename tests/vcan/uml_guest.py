@@ -283,16 +283,16 @@ def _report_job(lines: Iterator[str], job: Path, print_line: Callable[[str], Non
     other lines come from the Linux kernel and from init.
     """
     other_lines: list[str] = []
-    started = False
+    has_command_started = False
     for line in lines:
         if line.endswith(f"end {job}"):
             if unfinished := line.removesuffix(f"end {job}"):
                 print_line(unfinished)
             return other_lines
-        if started:
+        if has_command_started:
             print_line(line)
         elif line == f"begin {job}":
-            started = True
+            has_command_started = True
         else:
             other_lines.append(line)
     return other_lines

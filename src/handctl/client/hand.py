@@ -129,18 +129,18 @@ def connect(
     """
     _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
-    specs = list(parse_bus_arguments(buses).values())
-    if not specs:
+    bus_specs = list(parse_bus_arguments(buses).values())
+    if not bus_specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
-    if is_running(specs[0]):
+    if is_running(bus_specs[0]):
         if other_arguments := [text for text in arguments if text != CONFIRMATION_OPTION]:
-            location = f"arguments for the controller that already runs on {specs[0]}"
-            remedy = f"none, or first handctl stop --bus {specs[0]}"
+            location = f"arguments for the controller that already runs on {bus_specs[0]}"
+            remedy = f"none, or first handctl stop --bus {bus_specs[0]}"
             raise ConfigError(" ".join(other_arguments), location, remedy)
-        expected = None if hand is None else load_hand(os.fspath(hand)).name
-        return HandClient(specs[0], (), lease_s, watchdog_s, expected)
+        expected_hand_name = None if hand is None else load_hand(os.fspath(hand)).name
+        return HandClient(bus_specs[0], (), lease_s, watchdog_s, expected_hand_name)
     if hand is None:
-        refuse_default_hand(specs, "hand")
+        refuse_default_hand(bus_specs, "hand")
     options = [
         "--hand",
         os.fspath(hand or DEFAULT_HAND),
@@ -149,7 +149,7 @@ def connect(
         "--until-eof",
     ]
     command = [sys.executable, "-m", "handctl.cli", "run", *options, *arguments]
-    return HandClient(specs[0], command, lease_s, watchdog_s)
+    return HandClient(bus_specs[0], command, lease_s, watchdog_s)
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
@@ -831,8 +831,12 @@ class HandClient:
             self._collect_result()
             with self._output_lock:
                 self._stderr.close()
-        code = self.child.returncode if self.child else 0
-        if code and not self._error_raised and (raises_error or code == ExitCode.REMOVE_POWER):
+        exit_code = self.child.returncode if self.child else 0
+        if (
+            exit_code
+            and not self._error_raised
+            and (raises_error or exit_code == ExitCode.REMOVE_POWER)
+        ):
             raise self._run_error()
 
     def _collect_result(self) -> None:
@@ -852,13 +856,13 @@ class HandClient:
 
     def _run_error(self) -> DriveError:
         """Return the exception for the error that ended the run."""
-        code = self.child.returncode if self.child else 0
-        signal_text = f"killed by signal {-code}" if code < 0 else ""
+        exit_code = self.child.returncode if self.child else 0
+        signal_text = f"killed by signal {-exit_code}" if exit_code < 0 else ""
         # If no failure ended the run, the last message of the controller is a notice that does not
         # explain the error.
-        message = self._last_message if code else ""
+        message = self._last_message if exit_code else ""
         reason = self.result.get("failure") or signal_text or message or "it was stopped"
-        if code == ExitCode.REMOVE_POWER:
+        if exit_code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 

@@ -70,11 +70,11 @@ def summarise_run(
             "max": float(lateness_us.max(initial=0.0)),
         },
     }
-    hold_spans = hold_windows(log, hand)
+    hold_masks = hold_phase_masks(log, hand)
     result |= judge_tracking(log, hand, truth, offset_ns, active)
-    result |= judge_tension(log, hand, truth, offset_ns, active, hold_spans)
-    result |= judge_grasp(log, hand, truth, offset_ns, hold_spans)
-    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, hold_spans)}
+    result |= judge_tension(log, hand, truth, offset_ns, active, hold_masks)
+    result |= judge_grasp(log, hand, truth, offset_ns, hold_masks)
+    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, hold_masks)}
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
@@ -91,7 +91,7 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else float("nan")
 
 
-def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
+def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     """Return one mask (ticks,) for each hold phase of a run.
 
     A mask is True where the hold is settled.
@@ -293,9 +293,9 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     instead of a tension. The mask is also False for a digit on which other digits are mounted, such
     as a wrist.
     """
-    slices = [hand.digit_tendons[name] for name in hand.digit_names]
+    digit_slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(
-        np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
+        np.arange(len(digit_slices)), [tendons.stop - tendons.start for tendons in digit_slices]
     )
     directions_by_digit = [
         tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])

@@ -93,18 +93,18 @@ def validation_mistakes(
         for error_detail, mistake in zip(unknown_details, unknown_key_mistakes, strict=True)
     }
     for error_detail in error_details:
-        location = error_detail["loc"]
-        where = key_path(content, location)
+        key_location = error_detail["loc"]
+        where = key_path(content, key_location)
         if error_detail["type"] == "missing":
-            if (location[:-1], location[-1]) not in misspelt_keys:
+            if (key_location[:-1], key_location[-1]) not in misspelt_keys:
                 unknown_key_mistakes.append(
-                    FileMistake("missing", where, _meaning_of_missing_key(location, model))
+                    FileMistake("missing", where, _meaning_of_missing_key(key_location, model))
                 )
         elif error_detail["type"] != "extra_forbidden":
             context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
             expected = EXPECTED_BY_ERROR_TYPE.get(error_detail["type"], "{right}").format(**context)
             if error_detail["input"] == UNMEASURED_PLACEHOLDER:
-                expected += _field_meaning(_field_of_key(location, model))
+                expected += _field_meaning(_field_of_key(key_location, model))
             unknown_key_mistakes.append(
                 FileMistake(toml_spelling(error_detail["input"]), where, expected)
             )
@@ -240,11 +240,11 @@ def with_paths_in_hand_file(
     """
     located_mistakes: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
-        location = _path_in_file(mistake.where, origin_of_path)
-        is_shared = location != mistake.where and mistake.what != "missing"
-        mistake_at_location = mistake._replace(where=location)
+        path_in_file = _path_in_file(mistake.where, origin_of_path)
+        is_shared = path_in_file != mistake.where and mistake.what != "missing"
+        mistake_at_location = mistake._replace(where=path_in_file)
         located_mistakes.setdefault(
-            location if is_shared else mistake_at_location, mistake_at_location
+            path_in_file if is_shared else mistake_at_location, mistake_at_location
         )
     return list(located_mistakes.values())
 

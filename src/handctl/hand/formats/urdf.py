@@ -126,8 +126,8 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
     The torque and speed limits of the joint are computed from the tendons and motors.
     """
     name = digit.joints[i]
-    kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
-    joint = ET.SubElement(robot_element, "joint", name=name, type=kind)
+    joint_type = PRISMATIC if digit.is_prismatic[i] else "revolute"
+    joint = ET.SubElement(robot_element, "joint", name=name, type=joint_type)
     ET.SubElement(
         joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}"
     )
