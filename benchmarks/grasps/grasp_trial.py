@@ -50,13 +50,13 @@ class GraspRun:
         tension: (ticks, tendons) tension that the controller estimates [N].
         external_tension: (ticks, tendons) external tension that the controller estimates [N].
         excursion: (ticks, tendons) tendon excursion that the controller reports [m].
-        filter_states: (ticks, states) states of the tension filters, from the spool travel to the
-            stretch offset of each tendon.
+        filter_states: (ticks, values) for each tendon, the values of the tension filter from
+            ``SPOOL_TRAVEL`` to ``STRETCH_OFFSET`` in the state block of the controller.
         estimated_tip_force: (ticks, digits) contact force on the tip that the controller estimates [N].
         q: (ticks, joints) true joint angles [rad].
         contact_normal: (ticks, digits) sum of the normal forces on each digit [N]. The array
             ``contact_normal`` exists only in scenes with a load.
-        object_rotation: (ticks, 4) orientation of the object as a quaternion.
+        object_rotation: (ticks, 4) orientation of the object as a quaternion (qw, qx, qy, qz).
         events: every event of the controller, with the index of its tick.
         failure: reason why the controller ended the run.
         drop_time: time at which the table begins to sink [s], or None.
