@@ -136,13 +136,13 @@ def simulate_grasp(
         for entry, tick_output in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
-            states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
+            filter_states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             true_force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose = plant.engine.object_pose()
             telemetry = tick_output.telemetry
             rows.append(
                 (k / rate, pose, true_force, telemetry.contact, telemetry.tension, telemetry.external_tension,
-                 telemetry.excursion, states, telemetry.tip_force, plant.engine.q.copy(), plant.normal_forces())
+                 telemetry.excursion, filter_states, telemetry.tip_force, plant.engine.q.copy(), plant.normal_forces())
             )  # fmt: skip
             phases.append(tick_output.phase)
             stages.append(plant.stage)

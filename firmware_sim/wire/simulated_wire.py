@@ -96,7 +96,10 @@ class SimulatedWire:
         return controller
 
     def remove_controller(self, controller: CanController) -> None:
-        """Disconnect a controller from the wire. The wire still completes a frame that the controller is sending."""
+        """Disconnect a controller from the wire.
+
+        If the controller is sending a frame, the wire still completes this frame.
+        """
         self._controllers.remove(controller)
         controller.queue.clear()
         self._senders = [

@@ -14,7 +14,10 @@ SETTLING_TIME_S = 0.4
 
 
 def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArray[np.float64]:
-    """Return how much the mean joint angle of each digit differs between two runs (times, digits) [deg]."""
+    """Return the absolute difference of each digit's mean joint angle between two runs [deg].
+
+    The result has the shape (times, digits).
+    """
     start, end = active_interval(original_log)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(original_log.header.metadata["hand"])

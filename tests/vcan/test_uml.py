@@ -90,15 +90,17 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
             with contextlib.suppress(ProcessLookupError):
                 cores.append(os.sched_getaffinity(process))
 
-    start_s = time.monotonic()
+    guest_start_s = time.monotonic()
     assert uml_guest.run_with_vcan(["true"]) == 0
-    started_s = time.monotonic() - start_s
+    guest_run_duration_s = time.monotonic() - guest_start_s
     with tempfile.TemporaryDirectory() as folder:
         # the name of the folder marks the processes of the present test
         monkeypatch.setattr(tempfile, "tempdir", folder)
         script = "echo started; sleep 1000"
         status = uml_guest.run_with_vcan(
-            ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, print_line=record_line
+            ["bash", "-c", script],
+            timeout_s=5.0 + 4.0 * guest_run_duration_s,
+            print_line=record_line,
         )
         assert status == uml_guest.TIMED_OUT_STATUS
         assert output == ["started"]

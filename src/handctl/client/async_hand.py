@@ -67,7 +67,7 @@ class AsyncHandClient:
 
     async def __aexit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -76,7 +76,7 @@ class AsyncHandClient:
         If the block ends with an exception or a cancellation, no second exception is raised for a
         fault of the run.
         """
-        await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
+        await asyncio.shield(asyncio.to_thread(self.client.__exit__, error_type, error, trace))
 
     async def close(self) -> None:
         """End the control of the hand, see ``HandClient.close``."""
@@ -201,7 +201,7 @@ class AsyncTargetStream:
 
     async def __aexit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:

@@ -215,13 +215,13 @@ def judge_tracking(
     digit_of_joint = np.repeat(
         np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
     )
-    joints = np.where(
+    joint_errors = np.where(
         (free_motion_mask & ~touch_mask)[:, digit_of_joint],
         log.field("q_goal") - joint_angles,
         np.nan,
     )
     error_by_joint = {
-        name: hand.display_units.factor[j] * root_mean_square(joints[:, j])
+        name: hand.display_units.factor[j] * root_mean_square(joint_errors[:, j])
         for j, name in enumerate(hand.joints)
     }
     return {
@@ -439,7 +439,8 @@ TEXT_BY_ANGLE_SOURCE = {
 def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     """Return table rows (title, text) about the estimated joint angles: source, standard deviation and error.
 
-    Each digit that has an estimated standard deviation has one row. Other digits have no row.
+    The result has one row for each digit that has an estimated standard deviation, and no row for
+    other digits.
     """
     rows = []
     for name, angle in angle_summaries.items():

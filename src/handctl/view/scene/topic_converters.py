@@ -148,12 +148,12 @@ class TopicConverters:
         """Convert messages that contain the name of a state to a lane of the dashboard."""
         messages = decoded_messages(chunk)
         if messages is not None:
-            names = messages.field("name").to_pylist()
+            state_names = messages.field("name").to_pylist()
             entity_path = STATE_TOPICS[chunk.entity_path]
             yield temporal_chunk(
                 entity_path,
                 times_since_start(chunk, self._offset),
-                rr.StateChange.columns(state=names),
+                rr.StateChange.columns(state=state_names),
             )
 
 
