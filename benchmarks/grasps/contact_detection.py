@@ -51,14 +51,14 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     wall_text = WALL_SCENE.format(
         x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
     )
-    speed = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
+    closing_speed_deg_s = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
     phases = [
         {
             "kind": "move",
             "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
             "duration_s": 0.6,
         },
-        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": speed},
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": closing_speed_deg_s},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
     run = simulate_grasp(
@@ -73,11 +73,11 @@ def _detection_latencies(run: GraspRun, digit_names: tuple[str, ...]) -> list[fl
     }
     latencies = []
     for d, name in enumerate(digit_names):
-        contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_FORCE_N)
+        contact_ticks = np.flatnonzero(run.true_force[:, d] > CONTACT_FORCE_N)
         if name in contact_times:
             at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf
             is_true_contact = (
-                run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
+                run.true_force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
                 > TRUE_CONTACT_FORCE_N
             )
             latencies += [max(contact_times[name] - at, -1.0)] if is_true_contact else []
@@ -97,7 +97,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     phases: list[dict[str, Any]] = []
     planned_duration_s = 0.0
     while planned_duration_s < seconds:
-        speed = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
+        closing_speed_deg_s = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         start_angles = {name: random_source.uniform(0, limit) for name, limit in limits.items()}
         closed_angles = {"index": random_source.uniform(25, 50)}
@@ -111,13 +111,13 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
             closed_angles |= {"thumb": random_source.uniform(15, 50)}
         phases += [
             {"kind": "move", "angle_deg": start_angles, "duration_s": 0.5},
-            {"kind": "close", "angle_deg": closed_angles, "speed_deg_s": speed},
+            {"kind": "close", "angle_deg": closed_angles, "speed_deg_s": closing_speed_deg_s},
         ]
-        planned_duration_s += 0.8 + 35.0 / speed * 1.875
+        planned_duration_s += 0.8 + 35.0 / closing_speed_deg_s * 1.875
     run = simulate_grasp(
         hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )
-    assert run.force.max() < TRUE_CONTACT_FORCE_N, "the digits touched each other"
+    assert run.true_force.max() < TRUE_CONTACT_FORCE_N, "the digits touched each other"
     false_contact_count = sum(event.name == "contact" for _, event in run.events)
     motion_time_s = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
     return {"minutes": float(motion_time_s) / 60.0, "alarms": false_contact_count}

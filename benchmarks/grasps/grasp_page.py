@@ -85,11 +85,12 @@ def _payload_table(rows: list[dict[str, Any]]) -> str:
     table = []
     for (hand, direction), group_rows in _group_rows(rows, "hand", "direction").items():
         masses = [row["mass_kg"] for row in group_rows]
-        normal = np.mean([row["normal_N"] for row in group_rows], axis=0)
+        mean_normal_forces = np.mean([row["normal_N"] for row in group_rows], axis=0)
         prefix_text = "" if all(row["slid"] for row in group_rows) else "over "
         table.append([
             hand, direction, f"{prefix_text}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(group_rows)),
-            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in group_rows]):.2f}",
+            " / ".join(f"{value:.1f}" for value in mean_normal_forces),
+            f"{np.mean([row['coulomb_kg'] for row in group_rows]):.2f}",
         ])  # fmt: skip
     column_titles = ["hand", "load", "smallest payload, kg", "mean payload, kg", "seeds",
     "normal forces before the load, N",
@@ -188,7 +189,7 @@ def write_page(result: dict[str, Any]) -> None:
 
     In the page, each table is between two comments that name the table.
 
-    If the result contains grasps, also draw the picture.
+    If the result has the results of grasps (``success``), also call ``draw_picture``.
     """
     page = PAGE_FILE.read_text("utf-8")
     for key, table in TABLE_FUNCTION_BY_KEY.items():

@@ -33,8 +33,8 @@ def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
 
     If the grasp failed, the result also contains the reason of the failure.
     """
-    hand, number, seed = job
-    case = GRASP_CASES[number]
+    hand, case_index, seed = job
+    case = GRASP_CASES[case_index]
     program = task_program(TASK_BY_GRASP[hand, case.grasp], hand, hold_s=60.0)
     run = simulate_grasp(
         hand,
@@ -48,7 +48,7 @@ def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
     reason = failure_reason(run, case, motion)
     return {
         "hand": hand, "grasp": case.grasp, "object": case.name, "seed": seed, "motion_mm": motion,
-        "ok": not reason, "why": reason, "force_N": np.round(run.force[-1], 1).tolist(),
+        "ok": not reason, "why": reason, "force_N": np.round(run.true_force[-1], 1).tolist(),
     }  # fmt: skip
 
 

@@ -45,14 +45,18 @@ class GraspRun:
         phase: (ticks,) name of the phase of the task.
         stage: (ticks,) number of the stage of the scene.
         object_position: (ticks, 3) position of the object [m].
-        force: (ticks, digits) true contact force on each digit [N].
+        true_force: (ticks, digits) true contact force on each digit [N].
         contact: (ticks, digits) True if the controller reports contact of the digit.
         tension: (ticks, tendons) tension that the controller estimates [N].
         external_tension: (ticks, tendons) external tension that the controller estimates [N].
         excursion: (ticks, tendons) tendon excursion that the controller reports [m].
+        filter_states: (ticks, values) for each tendon, the values of the tension filter from
+            ``SPOOL_TRAVEL`` to ``STRETCH_OFFSET`` in the state block of the controller.
+        estimated_tip_force: (ticks, digits) contact force on the tip that the controller estimates [N].
         q: (ticks, joints) true joint angles [rad].
         contact_normal: (ticks, digits) sum of the normal forces on each digit [N]. The array
             ``contact_normal`` exists only in scenes with a load.
+        object_rotation: (ticks, 4) orientation of the object as a quaternion (qw, qx, qy, qz).
         events: every event of the controller, with the index of its tick.
         failure: reason why the controller ended the run.
         drop_time: time at which the table begins to sink [s], or None.
@@ -62,13 +66,13 @@ class GraspRun:
     phase: list[str]
     stage: np.ndarray
     object_position: np.ndarray
-    force: np.ndarray
+    true_force: np.ndarray
     contact: np.ndarray
     tension: np.ndarray
     external_tension: np.ndarray
     excursion: np.ndarray
     filter_states: np.ndarray
-    tip_force: np.ndarray
+    estimated_tip_force: np.ndarray
     q: np.ndarray
     contact_normal: np.ndarray
     object_rotation: np.ndarray
@@ -132,13 +136,13 @@ def simulate_grasp(
         for entry, tick_output in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
-            states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
-            force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+            filter_states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
+            true_force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose = plant.engine.object_pose()
-            numbers = tick_output.telemetry
+            telemetry = tick_output.telemetry
             rows.append(
-                (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
-                 states, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
+                (k / rate, pose, true_force, telemetry.contact, telemetry.tension, telemetry.external_tension,
+                 telemetry.excursion, filter_states, telemetry.tip_force, plant.engine.q.copy(), plant.normal_forces())
             )  # fmt: skip
             phases.append(tick_output.phase)
             stages.append(plant.stage)

@@ -51,12 +51,14 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     )
     is_before_load = run.t < LOAD_START_S
     settled_mask = run.t > LOAD_START_S - 0.5
-    normal = run.contact_normal[is_before_load & settled_mask].mean(axis=0)
+    mean_normal_forces = run.contact_normal[is_before_load & settled_mask].mean(axis=0)
     window = max(1, int(0.2 / (run.t[1] - run.t[0])))
-    speed = np.linalg.norm(run.object_position[window:] - run.object_position[:-window], axis=1) / (
-        run.t[window] - run.t[0]
+    object_speed = np.linalg.norm(
+        run.object_position[window:] - run.object_position[:-window], axis=1
+    ) / (run.t[window] - run.t[0])
+    sliding_ticks = np.flatnonzero(
+        (object_speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S)
     )
-    sliding_ticks = np.flatnonzero((speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S))
     slip_time_s = (
         float(run.t[window + sliding_ticks[0]]) if len(sliding_ticks) else float(run.t[-1])
     )
@@ -66,7 +68,8 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     return {
         "hand": hand, "direction": direction, "seed": seed,
         "mass_kg": round(slip_force / 9.81, 3), "slid": bool(len(sliding_ticks)),
-        "normal_N": np.round(normal, 2).tolist(), "coulomb_kg": round(float(case.friction * normal.sum() / 9.81), 3),
+        "normal_N": np.round(mean_normal_forces, 2).tolist(),
+        "coulomb_kg": round(float(case.friction * mean_normal_forces.sum() / 9.81), 3),
     }  # fmt: skip
 
 

@@ -23,9 +23,9 @@ EVALUATION_WINDOW_S = 0.4
 def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     """Measure the mean estimated and the mean true force [N] of each digit, at each commanded force."""
     hand, seed = job
-    chance = random.Random(f"tip {seed}")
+    random_source = random.Random(f"tip {seed}")
     wall_text = WALL_SCENE.format(
-        x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3)
+        x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
     )
     phases: list[dict[str, Any]] = [
         {
@@ -44,21 +44,21 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     )
     rows = []
     for command in COMMANDED_FORCES_N:
-        mask = np.array(run.phase) == f"{command:g}"
-        mask &= run.t > run.t[mask].max(initial=0.0) - EVALUATION_WINDOW_S
+        evaluation_mask = np.array(run.phase) == f"{command:g}"
+        evaluation_mask &= run.t > run.t[evaluation_mask].max(initial=0.0) - EVALUATION_WINDOW_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
-            if mask.any() and run.contact[mask, d].all():
-                estimated = run.tip_force[mask, d]
-                true_force = run.force[mask, d]
+            if evaluation_mask.any() and run.contact[evaluation_mask, d].all():
+                estimated_force = run.estimated_tip_force[evaluation_mask, d]
+                true_force = run.true_force[evaluation_mask, d]
                 rows.append(
                     {
                         "hand": hand,
                         "seed": seed,
                         "digit": name,
                         "asked": command,
-                        "told": round(float(estimated.mean()), 3),
+                        "told": round(float(estimated_force.mean()), 3),
                         "felt": round(float(true_force.mean()), 3),
-                        "noise": round(float((estimated - true_force).std()), 3),
+                        "noise": round(float((estimated_force - true_force).std()), 3),
                     }
                 )
     return rows

@@ -66,7 +66,8 @@ class ActiveFaults:
     def t_ns(self) -> int:
         """Return the present time of the truth file (the record of the true plant state) [ns].
 
-        The time of the truth file is the time of the simulated world plus ``slip_ns``.
+        The time of the truth file is the time of the simulated world plus the skipped plant time
+        (``slip_ns``).
         """
         return int(self._world.t_ns + self._world.slip_ns)
 
@@ -88,14 +89,14 @@ class ActiveFaults:
             SimulatorError: the hand of this simulation cannot have the fault.
         """
         fault = parse_fault(fault_line, self._world.hand, self._world.t_ns)
-        active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
-        self.injected.append(active)
-        self._waiting.append(active)
+        active_fault = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
+        self.injected.append(active_fault)
+        self._waiting.append(active_fault)
         self.on = True
         self._world.queue_frames(self.advance(self._world.t_ns))
         return fault
 
-    def kinds(self) -> list[dict[str, object]]:
+    def describe_kinds(self) -> list[dict[str, object]]:
         """List each kind of fault with the possible targets in this hand, the default size and the effect."""
         hand = self._world.hand
         return [
@@ -113,20 +114,20 @@ class ActiveFaults:
 
     def states(self) -> list[dict[str, object]]:
         """List each fault injected so far, with state and number of effects."""
-        active_now = [active for active, _ in self._acting]
+        active_now = [active_fault for active_fault, _ in self._acting]
         return [
             {
-                "fault": active.fault.text,
+                "fault": active_fault.fault.text,
                 "state": "waiting"
-                if active in self._waiting
+                if active_fault in self._waiting
                 else "acting"
-                if active in active_now
+                if active_fault in active_now
                 else "over",
-                "start_ns": active.fault.start_ns,
-                "felt": active.effect_count,
-                "first_ns": active.first_ns,
+                "start_ns": active_fault.fault.start_ns,
+                "felt": active_fault.effect_count,
+                "first_ns": active_fault.first_ns,
             }
-            for active in self.injected
+            for active_fault in self.injected
         ]
 
     def advance(self, t_ns: int) -> list[Frame]:
@@ -138,20 +139,24 @@ class ActiveFaults:
         Returns:
             Frames that the faults send now: new frames, and frames that a fault has delayed.
         """
-        for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
-            self._waiting.remove(active)
-            self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
+        for active_fault in [
+            active_fault for active_fault in self._waiting if active_fault.fault.start_ns <= t_ns
+        ]:
+            self._waiting.remove(active_fault)
+            self._acting.append(
+                (active_fault, plant_faults.start_plant_fault(self._world, active_fault))
+            )
             self._index_faults_by_node()
-        for active, undo_fault in [
+        for active_fault, undo_fault in [
             (a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns
         ]:
             undo_fault()
-            self._acting.remove((active, undo_fault))
+            self._acting.remove((active_fault, undo_fault))
             self._index_faults_by_node()
         frames = [
             frame
-            for bus, active in self._all_wire
-            for frame in wire_faults.released_frames([active], t_ns)
+            for bus, active_fault in self._all_wire
+            for frame in wire_faults.released_frames([active_fault], t_ns)
         ]
         if not self._turn_ns or (
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % FAULT_FRAME_PERIOD_NS == 0
@@ -165,13 +170,13 @@ class ActiveFaults:
 
     def due_ns(self) -> int:
         """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is due."""
-        due_times = [active.fault.start_ns for active in self._waiting]
-        for active, _ in self._acting:
+        due_times = [active_fault.fault.start_ns for active_fault in self._waiting]
+        for active_fault, _ in self._acting:
             due_times += [
-                active.fault.start_ns + active.fault.duration_ns,
-                *(release_ns for release_ns, _ in active.delayed_frames),
+                active_fault.fault.start_ns + active_fault.fault.duration_ns,
+                *(release_ns for release_ns, _ in active_fault.delayed_frames),
             ]
-            if active.fault.kind in FRAME_SENDING_FAULTS:
+            if active_fault.fault.kind in FRAME_SENDING_FAULTS:
                 due_times.append(self._turn_ns)
         return min(due_times, default=FOREVER_NS)
 
@@ -184,15 +189,15 @@ class ActiveFaults:
         self.wire_faults_of = {}
         self._all_wire = []
         self.in_frames = any(
-            active.fault.component not in (FAULT_TARGET_TENDON, FAULT_TARGET_DIGIT)
-            for active, _ in self._acting
+            active_fault.fault.component not in (FAULT_TARGET_TENDON, FAULT_TARGET_DIGIT)
+            for active_fault, _ in self._acting
         )
-        for active, _ in self._acting:
-            if active.fault.component not in (FAULT_TARGET_NODE, FAULT_TARGET_BUS):
+        for active_fault, _ in self._acting:
+            if active_fault.fault.component not in (FAULT_TARGET_NODE, FAULT_TARGET_BUS):
                 continue
-            for node, bus in self._target_nodes(active.fault):
-                self.wire_faults_of.setdefault(id(node), []).append(active)
-                self._all_wire.append((bus, active))
+            for node, bus in self._target_nodes(active_fault.fault):
+                self.wire_faults_of.setdefault(id(node), []).append(active_fault)
+                self._all_wire.append((bus, active_fault))
 
     def _target_nodes(self, fault: Fault) -> list[tuple[Any, int]]:
         """List the target nodes of a fault, each with the index of the node's bus."""
@@ -244,15 +249,15 @@ class ActiveFaults:
     def _generated_frames(self, t_ns: int) -> list[Frame]:
         """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
         frames = []
-        for active, _ in self._acting:
-            fault = active.fault
+        for active_fault, _ in self._acting:
+            fault = active_fault.fault
             if fault.kind in ("flood", "unknown"):
                 bus = self._world.hand.buses.index(fault.instance)
                 can_id = FLOOD_CAN_ID if fault.kind == "flood" else UNKNOWN_CAN_ID
                 frames += [Frame(can_id, bytes(8), 0, bus, t_ns)] * int(fault.size)
-                active.count_effect(t_ns)
+                active_fault.count_effect(t_ns)
             elif fault.kind == "foreign" and t_ns >= self._foreign_ns:
                 self._foreign_ns = t_ns + SECOND_HOST_PERIOD_NS
                 frames.append(self._world.host_frame(fault.instance)._replace(t_ns=t_ns))
-                active.count_effect(t_ns)
+                active_fault.count_effect(t_ns)
         return frames

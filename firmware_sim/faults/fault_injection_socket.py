@@ -91,7 +91,7 @@ class FaultInjectionSocket:
             except SimulatorError as error:
                 return {"error": str(error)}
         elif isinstance(request, dict) and request.get("kinds"):
-            return {"kinds": self._faults.kinds()}
+            return {"kinds": self._faults.describe_kinds()}
         elif isinstance(request, dict) and request.get("pace") and pace:
             return {"pace": pace.report(self._faults.t_ns - self._faults.slip_ns)}
         elif not isinstance(request, dict) or not request.get("list"):

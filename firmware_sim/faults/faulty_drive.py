@@ -54,7 +54,7 @@ def check_fault_has_effect(protocol: str, fault: str) -> None:
 
 
 class FaultyDrive:
-    """A drive node with a deliberate fault. The class ``protocol_spec.SimulatedNode`` describes the methods.
+    """A drive node with a deliberate fault, and with the methods of ``protocol_spec.SimulatedNode``.
 
     Attributes:
         node: simulated drive without the fault.
@@ -137,7 +137,7 @@ def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[Mot
     """Apply the fault ``sign`` or ``twin`` to the descriptions of drives.
 
     The fault ``sign`` inverts the torque of each drive. For each drive, the fault ``twin`` adds a
-    second drive with the same node number. Any other fault leaves the descriptions unchanged.
+    second drive with the same node number. No other fault changes the descriptions.
     """
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in motor_specs]

@@ -45,26 +45,26 @@ ERROR_CODES = {
 """Error codes that each kind of fault sets in a drive: for MIT, ODrive, CiA 402, moteus and RobStride."""
 
 
-def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
+def start_plant_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Start the effect of a fault.
 
     Args:
         world: simulated world in which the fault acts.
-        active: fault whose effect starts.
+        active_fault: fault whose effect starts.
 
     Returns:
         Function that ends the effect of the fault.
     """
-    kind = active.fault.kind
+    kind = active_fault.fault.kind
     if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
-        return _start_reading_fault(world, active)
-    return _START_FUNCTIONS[kind](world, active) if kind in _START_FUNCTIONS else lambda: None
+        return _start_reading_fault(world, active_fault)
+    return _START_FUNCTIONS[kind](world, active_fault) if kind in _START_FUNCTIONS else lambda: None
 
 
-def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_reading_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Change the readings of the faulty sensor from now on."""
-    fault = active.fault
-    change = _make_reading_fault(active, lambda: int(world.t_ns))
+    fault = active_fault.fault
+    change = _make_reading_fault(active_fault, lambda: int(world.t_ns))
     if fault.component == FAULT_TARGET_ENCODER:
         motor = world.plant.motors[fault.instance]
         motor.encoder_fault = change
@@ -81,17 +81,19 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: table.pop(index, None) and None
 
 
-def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
+def _make_reading_fault(
+    active_fault: ActiveFault, now_ns: Callable[[], int]
+) -> Callable[[float], float]:
     """Return a function that changes each reading of a sensor, as the kind of the fault requires.
 
     Args:
-        active: active fault, which counts its effects.
+        active_fault: active fault, which counts its effects.
         now_ns: function that returns the present time [ns].
 
     Returns:
         Function that takes the true reading and returns the changed reading.
     """
-    fault = active.fault
+    fault = active_fault.fault
     start_ns = now_ns()
     readings = list[float]()
     rng = random.Random(f"reading {fault.seed} {fault.text}")
@@ -100,7 +102,7 @@ def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Calla
         if not readings:
             readings.append(value)
         if fault.kind == "old":
-            return _delayed_reading(active, readings, value, now_ns())
+            return _delayed_reading(active_fault, readings, value, now_ns())
         if fault.kind == "stuck":
             faulty_reading = readings[0]
         elif fault.kind == "offset":
@@ -114,14 +116,14 @@ def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Calla
         else:
             faulty_reading = math.copysign(OUT_OF_RANGE_TENSION_N, fault.size)
         if faulty_reading != value:
-            active.count_effect(now_ns())
+            active_fault.count_effect(now_ns())
         return faulty_reading
 
     return apply_reading_fault
 
 
 def _delayed_reading(
-    active: ActiveFault, past_readings: list[float], value: float, now_ns: int
+    active_fault: ActiveFault, past_readings: list[float], value: float, now_ns: int
 ) -> float:
     """Return a reading that is ``fault.size`` samples old.
 
@@ -130,55 +132,57 @@ def _delayed_reading(
     past_readings.append(value)
     # The list contains the first reading twice, because ``_make_reading_fault`` has already stored this
     # reading.
-    if len(past_readings) <= int(active.fault.size) + 1:
+    if len(past_readings) <= int(active_fault.fault.size) + 1:
         return value
-    active.count_effect(now_ns)
+    active_fault.count_effect(now_ns)
     del past_readings[0]
     return past_readings[0]
 
 
-def _start_muted_sensor(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_muted_sensor(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Suppress the frame in which the sensor node sends the reading of the faulty sensor."""
     node = world.sensor_node
     spec = world.hand.sensors
-    if active.fault.component == FAULT_TARGET_CELL:
-        can_id = node.frame_id_of_cell(spec.tendons.index(active.fault.instance))
+    if active_fault.fault.component == FAULT_TARGET_CELL:
+        can_id = node.frame_id_of_cell(spec.tendons.index(active_fault.fault.instance))
     else:
         can_id = (
             spec.base_id
             + JOINT_OFFSET
-            + spec.joints.index(active.fault.instance) // CHANNELS_PER_FRAME
+            + spec.joints.index(active_fault.fault.instance) // CHANNELS_PER_FRAME
         )
-    node.suppressed[can_id] = lambda: active.count_effect(int(world.t_ns))
+    node.suppressed[can_id] = lambda: active_fault.count_effect(int(world.t_ns))
     return lambda: node.suppressed.pop(can_id, None) and None
 
 
-def _start_snapped_tendon(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_snapped_tendon(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Break a tendon."""
-    tendon = _tendon_of_fault(world, active.fault)
-    active.count_effect(world.t_ns)
+    tendon = _tendon_of_fault(world, active_fault.fault)
+    active_fault.count_effect(world.t_ns)
     mend_tendon: UndoFunction = tendon.break_tendon()
     return mend_tendon
 
 
-def _start_slack_tendon(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_slack_tendon(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Lengthen a tendon by the size of the fault [mm]."""
-    tendon = _tendon_of_fault(world, active.fault)
-    active.count_effect(world.t_ns)
-    tendon.extra_length = active.fault.size * 1e-3
+    tendon = _tendon_of_fault(world, active_fault.fault)
+    active_fault.count_effect(world.t_ns)
+    tendon.extra_length = active_fault.fault.size * 1e-3
     return lambda: setattr(tendon, "extra_length", 0.0)
 
 
-def _start_extra_friction(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_extra_friction(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Add Coulomb friction to a motor.
 
     The size of the fault is the friction force, converted to the tendon [N].
     """
-    tendon = next(spec for spec in world.hand.all_tendons if spec.name == active.fault.instance)
+    tendon = next(
+        spec for spec in world.hand.all_tendons if spec.name == active_fault.fault.instance
+    )
     motor = world.plant.motors[tendon.motor]
     coulomb_before = motor.coulomb
-    motor.coulomb += active.fault.size * _tendon_of_fault(world, active.fault).radius
-    active.count_effect(world.t_ns)
+    motor.coulomb += active_fault.fault.size * _tendon_of_fault(world, active_fault.fault).radius
+    active_fault.count_effect(world.t_ns)
     return lambda: setattr(motor, "coulomb", coulomb_before)
 
 
@@ -188,26 +192,26 @@ def _tendon_of_fault(world: Any, fault: Fault) -> Any:
     return world.plant.tendons[names.index(fault.instance)][0]
 
 
-def _start_blocked_digit(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_blocked_digit(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Block all joints of a digit."""
-    digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
-    active.count_effect(world.t_ns)
+    digit = next(digit for digit in world.hand.digits if digit.name == active_fault.fault.instance)
+    active_fault.count_effect(world.t_ns)
     release: UndoFunction = world.plant.engine.brake(
         [world.hand.joints.index(joint) for joint in digit.joints], BLOCKED_JOINT_DAMPING
     )
     return release
 
 
-def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_tripped_drive(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Make a drive report an error.
 
     The size of the fault is the error code. Without a size, the kind of the fault determines the
     error code.
     """
-    node = world.node_of(active.fault.instance)
-    codes = ERROR_CODES[active.fault.kind]
-    size = int(active.fault.size)
-    active.count_effect(world.t_ns)
+    node = world.node_of(active_fault.fault.instance)
+    codes = ERROR_CODES[active_fault.fault.kind]
+    size = int(active_fault.fault.size)
+    active_fault.count_effect(world.t_ns)
     match node:
         case MitNode():
             node.trip(cast(FeedbackState, size or codes[0]))
@@ -223,62 +227,63 @@ def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: None
 
 
-def _start_drive_reset(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_drive_reset(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Reset a drive, either by a power cycle or by the reset command of the drive's protocol."""
-    node = world.node_of(active.fault.instance)
-    active.count_effect(world.t_ns)
+    node = world.node_of(active_fault.fault.instance)
+    active_fault.count_effect(world.t_ns)
     match node:
         case MitNode() | MoteusNode() | RobstrideNode():
             node.power_cycle()
         case OdriveNode():
             node.receive(
-                Frame(world.motor_spec(active.fault.instance).node_id << 5 | 0x16, b""), world.t_ns
+                Frame(world.motor_spec(active_fault.fault.instance).node_id << 5 | 0x16, b""),
+                world.t_ns,
             )
         case Cia402Node():
             node.receive(
-                Frame(0x000, bytes((0x81, world.motor_spec(active.fault.instance).node_id))),
+                Frame(0x000, bytes((0x81, world.motor_spec(active_fault.fault.instance).node_id))),
                 world.t_ns,
             )
             node.wake_ns = 0
     return lambda: None
 
 
-def _start_forgotten_settings(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_forgotten_settings(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Make a drive lose all unsaved settings, while its power stage stays on.
 
     The fault simulates a voltage dip that resets only the processor of the drive.
     """
-    active.count_effect(world.t_ns)
-    match node := world.node_of(active.fault.instance):
+    active_fault.count_effect(world.t_ns)
+    match node := world.node_of(active_fault.fault.instance):
         case MitNode():
-            node.lose_settings(active.fault.size)
+            node.lose_settings(active_fault.fault.size)
         case OdriveNode() | Cia402Node() | MoteusNode() | RobstrideNode():
             node.lose_settings()
     return lambda: None
 
 
-def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_torque_ripple(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Add a sinusoidal torque ripple to a motor."""
-    motor = world.plant.motors[active.fault.instance]
-    fault = active.fault
+    motor = world.plant.motors[active_fault.fault.instance]
+    fault = active_fault.fault
 
     def apply(command: float) -> float:
-        active.count_effect(int(world.t_ns))
+        active_fault.count_effect(int(world.t_ns))
         return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
 
     motor.power_stage_fault = apply
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_motor_overheating(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Keep the winding of a motor at a constant temperature.
 
-    The size of the fault is this temperature [degC].
+    The size of the fault is the temperature of the winding [degC].
     """
-    thermal = world.node_of(active.fault.instance).thermal
-    active.count_effect(world.t_ns)
-    thermal.forced = active.fault.size
-    thermal.winding = active.fault.size
+    thermal = world.node_of(active_fault.fault.instance).thermal
+    active_fault.count_effect(world.t_ns)
+    thermal.forced = active_fault.fault.size
+    thermal.winding = active_fault.fault.size
     return lambda: setattr(thermal, "forced", None)
 
 
@@ -303,12 +308,12 @@ class _CrossConnectedMotor:
         setattr(self.__dict__["sensed"], name, value)
 
 
-def _start_exchanged_motors(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_exchanged_motors(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Exchange the sensors of two drives (``swap``), or the power stages of two drives (``cross``)."""
-    names = active.fault.instance, active.fault.other
+    names = active_fault.fault.instance, active_fault.fault.other
     nodes = [world.node_of(name) for name in names]
     motors = [world.plant.motors[name] for name in names]
-    is_swap = active.fault.kind == "swap"
+    is_swap = active_fault.fault.kind == "swap"
     for i, node in enumerate(nodes):
         motor_of_node = motors[i]
         other_motor = motors[1 - i]
@@ -317,7 +322,7 @@ def _start_exchanged_motors(world: Any, active: ActiveFault) -> UndoFunction:
             if is_swap
             else _CrossConnectedMotor(motor_of_node, other_motor)
         )
-    active.count_effect(world.t_ns)
+    active_fault.count_effect(world.t_ns)
 
     def undo() -> None:
         for node, motor in zip(nodes, motors, strict=True):
@@ -326,10 +331,10 @@ def _start_exchanged_motors(world: Any, active: ActiveFault) -> UndoFunction:
     return undo
 
 
-def _start_late_commands(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_late_commands(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Delay each torque command of a drive by the size of the fault [ms]."""
-    motor = world.plant.motors[active.fault.instance]
-    delay_ns = round(active.fault.size * 1e6)
+    motor = world.plant.motors[active_fault.fault.instance]
+    delay_ns = round(active_fault.fault.size * 1e6)
     queued_commands: deque[tuple[int, float]] = deque()
 
     def apply(command: float) -> float:
@@ -339,22 +344,22 @@ def _start_late_commands(world: Any, active: ActiveFault) -> UndoFunction:
             queued_commands.popleft()
         delayed_command = queued_commands[0][1]
         if abs(delayed_command - command) > 1e-9:
-            active.count_effect(int(world.t_ns))
+            active_fault.count_effect(int(world.t_ns))
         return delayed_command
 
     motor.power_stage_fault = apply
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_servo_fault(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_servo_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     """Replace the torque that the power stage of a drive applies.
 
     The fault cannot act on the sensor node of the hand, because the sensor node has no power stage.
     """
-    if active.fault.instance == SENSOR_NODE_NAME:
+    if active_fault.fault.instance == SENSOR_NODE_NAME:
         return lambda: None
-    motor = world.plant.motors[active.fault.instance]
-    fault = active.fault
+    motor = world.plant.motors[active_fault.fault.instance]
+    fault = active_fault.fault
     last_torque = motor.servo.torque
     torque_max = world.motor_spec(fault.instance).torque_max
 
@@ -365,7 +370,7 @@ def _start_servo_fault(world: Any, active: ActiveFault) -> UndoFunction:
             "off": 0.0,
         }.get(fault.kind, last_torque)
         if abs(changed_command - command) > 1e-9:
-            active.count_effect(int(world.t_ns))
+            active_fault.count_effect(int(world.t_ns))
         return changed_command
 
     motor.power_stage_fault = apply

@@ -44,9 +44,9 @@ class ActiveFault:
 
 def is_request_lost(active_faults: Sequence[ActiveFault], t_ns: int) -> bool:
     """Return True if a fault makes the node lose a frame from the host."""
-    for active in active_faults:
-        if active.fault.kind in ("deaf", "off") and active.affects_frame():
-            active.count_effect(t_ns)
+    for active_fault in active_faults:
+        if active_fault.fault.kind in ("deaf", "off") and active_fault.affects_frame():
+            active_fault.count_effect(t_ns)
             return True
     return False
 
@@ -59,164 +59,172 @@ def frames_after_faults(
     Returns:
         The frames that the bus carries now.
     """
-    for active in active_faults:
-        change = FRAME_CHANGE_BY_FAULT_KIND.get(active.fault.kind)
+    for active_fault in active_faults:
+        change = FRAME_CHANGE_BY_FAULT_KIND.get(active_fault.fault.kind)
         if change and frames:
-            frames = change(active, frames, t_ns)
+            frames = change(active_fault, frames, t_ns)
     return frames
 
 
 def released_frames(active_faults: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
     """Return the delayed frames whose release time has passed."""
     frames = []
-    for active in active_faults:
-        if active.delayed_frames:
+    for active_fault in active_faults:
+        if active_fault.delayed_frames:
             frames += [
                 frame._replace(t_ns=release_ns)
-                for release_ns, frame in active.delayed_frames
+                for release_ns, frame in active_fault.delayed_frames
                 if release_ns <= t_ns
             ]
-            active.delayed_frames = [pair for pair in active.delayed_frames if pair[0] > t_ns]
+            active_fault.delayed_frames = [
+                pair for pair in active_fault.delayed_frames if pair[0] > t_ns
+            ]
     return frames
 
 
-def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _drop_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop the frames that the fault affects."""
-    unaffected_frames = [frame for frame in frames if not active.affects_frame()]
+    unaffected_frames = [frame for frame in frames if not active_fault.affects_frame()]
     if len(unaffected_frames) < len(frames):
-        active.count_effect(t_ns)
+        active_fault.count_effect(t_ns)
     return unaffected_frames
 
 
-def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _delay_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Store the frames that the fault affects, until the delay of these frames is over."""
     unaffected_frames = []
     for frame in frames:
-        if active.affects_frame():
-            active.delayed_frames.append((t_ns + round(active.fault.size * 1e6), frame))
-            active.count_effect(t_ns)
+        if active_fault.affects_frame():
+            active_fault.delayed_frames.append((t_ns + round(active_fault.fault.size * 1e6), frame))
+            active_fault.count_effect(t_ns)
         else:
             unaffected_frames.append(frame)
     return unaffected_frames
 
 
-def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _duplicate_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send two copies of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
         sent_frames.append(frame)
-        if active.affects_frame():
+        if active_fault.affects_frame():
             sent_frames.append(frame)
-            active.count_effect(t_ns)
+            active_fault.count_effect(t_ns)
     return sent_frames
 
 
-def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _add_conflicting_frames(
+    active_fault: ActiveFault, frames: list[Frame], t_ns: int
+) -> list[Frame]:
     """Send a second frame with the same identifier but with another payload, as a second node would."""
     sent_frames = []
     for frame in frames:
         sent_frames.append(frame)
-        if len(frame.data) >= 4 and active.affects_frame():
+        if len(frame.data) >= 4 and active_fault.affects_frame():
             twin_data = bytearray(frame.data)
             # The inverted bit lies in the middle of a payload value. So the second frame looks
             # plausible but differs from the true frame.
             twin_data[2] ^= 0x04
             sent_frames.append(frame._replace(data=bytes(twin_data)))
-            active.count_effect(t_ns)
+            active_fault.count_effect(t_ns)
     return sent_frames
 
 
-def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Hold back the first frame of an answer. Send it after the frames of the next answer."""
-    delayed_frames = [frame for _, frame in active.delayed_frames]
-    active.delayed_frames = []
-    if not delayed_frames and active.affects_frame():
-        active.delayed_frames = [(NEVER_NS, frame) for frame in frames[:1]]
-        active.count_effect(t_ns)
+def _reorder_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Hold back the first frame of an answer, and send this frame after the frames of the next answer."""
+    delayed_frames = [frame for _, frame in active_fault.delayed_frames]
+    active_fault.delayed_frames = []
+    if not delayed_frames and active_fault.affects_frame():
+        active_fault.delayed_frames = [(NEVER_NS, frame) for frame in frames[:1]]
+        active_fault.count_effect(t_ns)
         return frames[1:]
     return frames + delayed_frames
 
 
-def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _corrupt_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Invert random bits in the payload of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
-        if frame.data and active.affects_frame():
-            bits = active.rng.sample(
-                range(8 * len(frame.data)), min(int(active.fault.size), 8 * len(frame.data))
+        if frame.data and active_fault.affects_frame():
+            bits = active_fault.rng.sample(
+                range(8 * len(frame.data)), min(int(active_fault.fault.size), 8 * len(frame.data))
             )
             word = int.from_bytes(frame.data, "little")
             for bit in bits:
                 word ^= 1 << bit
             frame = frame._replace(data=word.to_bytes(len(frame.data), "little"))
-            active.count_effect(t_ns)
+            active_fault.count_effect(t_ns)
         sent_frames.append(frame)
     return sent_frames
 
 
-def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _shorten_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Remove the last bytes from the payload of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
-        if frame.data and active.affects_frame():
-            frame = frame._replace(data=frame.data[: -max(1, int(active.fault.size))])
-            active.count_effect(t_ns)
+        if frame.data and active_fault.affects_frame():
+            frame = frame._replace(data=frame.data[: -max(1, int(active_fault.fault.size))])
+            active_fault.count_effect(t_ns)
         sent_frames.append(frame)
     return sent_frames
 
 
-def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _extend_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Turn frames with 11-bit identifiers into frames with 29-bit identifiers.
 
     Frames with 29-bit identifiers stay unchanged.
     """
     sent_frames = []
     for frame in frames:
-        if not frame.can_id & EXTENDED_FLAG and active.affects_frame():
+        if not frame.can_id & EXTENDED_FLAG and active_fault.affects_frame():
             frame = frame._replace(can_id=frame.can_id | EXTENDED_FLAG)
-            active.count_effect(t_ns)
+            active_fault.count_effect(t_ns)
         sent_frames.append(frame)
     return sent_frames
 
 
-def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _slow_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop the answers of a node, except every n-th answer.
 
     The number n is the size of the fault.
     """
-    active.answer_count += 1
-    if active.answer_count % max(2, int(active.fault.size)):
-        active.count_effect(t_ns)
+    active_fault.answer_count += 1
+    if active_fault.answer_count % max(2, int(active_fault.fault.size)):
+        active_fault.count_effect(t_ns)
         return []
     return frames
 
 
-def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _remove_all_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop all frames of a node, as if the node had no power."""
-    active.count_effect(t_ns)
+    active_fault.count_effect(t_ns)
     return []
 
 
-def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _replay_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Replace the frames of each answer by the frames of an earlier answer.
 
-    In place of answer k, the node sends answer k - n, where n is the size of the fault. The first n
-    answers stay unchanged.
+    In place of answer k, the node sends answer k - ``fault.size``. The first ``fault.size`` answers
+    stay unchanged.
     """
-    active.answer_count += 1
+    active_fault.answer_count += 1
     # The release time of the stored frames is NEVER_NS plus the number of the answer. So
     # ``released_frames`` never releases the stored frames.
-    active.delayed_frames += [(NEVER_NS + active.answer_count, frame) for frame in frames]
-    replayed_number = active.answer_count - int(active.fault.size)
+    active_fault.delayed_frames += [
+        (NEVER_NS + active_fault.answer_count, frame) for frame in frames
+    ]
+    replayed_number = active_fault.answer_count - int(active_fault.fault.size)
     if replayed_number <= 0:
         return frames
-    active.count_effect(t_ns)
+    active_fault.count_effect(t_ns)
     old_frames = [
-        frame for number, frame in active.delayed_frames if number == NEVER_NS + replayed_number
+        frame
+        for number, frame in active_fault.delayed_frames
+        if number == NEVER_NS + replayed_number
     ]
-    active.delayed_frames = [
+    active_fault.delayed_frames = [
         (number, frame)
-        for number, frame in active.delayed_frames
+        for number, frame in active_fault.delayed_frames
         if number > NEVER_NS + replayed_number
     ]
     return [frame._replace(t_ns=t_ns) for frame in old_frames]

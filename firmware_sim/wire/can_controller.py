@@ -247,11 +247,11 @@ class CanController:
         """
         if not self.on_receive:
             return
-        data = bytearray(8)
+        payload = bytearray(8)
         for i, value in (extra_bytes or {}).items():
-            data[i] = value
+            payload[i] = value
         if error_class & CAN_ERR_ACK:
-            data[3] = ACK_SLOT_ERROR
-        data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
-        data[7] = self.rx_errors
-        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | error_class, bytes(data)), t_ns)
+            payload[3] = ACK_SLOT_ERROR
+        payload[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
+        payload[7] = self.rx_errors
+        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | error_class, bytes(payload)), t_ns)

@@ -131,9 +131,11 @@ def _fd_frame_bits(
     )
     # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
     # stuff count and the CRC have one fixed stuff bit before every four bits.
-    check_bits = 4 + (17 if size <= 16 else 21)
+    crc_field_bits = 4 + (17 if size <= 16 else 21)
     nominal_bits = len(header_bits) + stuff_bits_in_head + TAIL_BITS
-    data_bits = len(body) + stuff_bits_total - stuff_bits_in_head + check_bits + -(-check_bits // 4)
+    data_bits = (
+        len(body) + stuff_bits_total - stuff_bits_in_head + crc_field_bits + -(-crc_field_bits // 4)
+    )
     return (nominal_bits, data_bits) if has_fast_bits else (nominal_bits + data_bits, 0)
 
 

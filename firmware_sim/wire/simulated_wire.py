@@ -96,7 +96,10 @@ class SimulatedWire:
         return controller
 
     def remove_controller(self, controller: CanController) -> None:
-        """Disconnect a controller from the wire. The wire still completes a frame that the controller is sending."""
+        """Disconnect a controller from the wire.
+
+        If the controller is sending a frame, the wire still completes this frame.
+        """
         self._controllers.remove(controller)
         controller.queue.clear()
         self._senders = [
@@ -112,7 +115,7 @@ class SimulatedWire:
 
     def _restart_ns(self) -> int:
         """Return the time when the next controller is restarted after bus-off [ns]."""
-        return min((at for at, _ in self._restarts), default=NEVER_NS)
+        return min((restart_ns for restart_ns, _ in self._restarts), default=NEVER_NS)
 
     def step(self, t_ns: int) -> bool:
         """Process the next event on the wire, if the event is due at ``t_ns`` or before.
@@ -121,18 +124,18 @@ class SimulatedWire:
             True if an event was processed.
         """
         restart_ns = self._restart_ns() if self._restarts else NEVER_NS
-        end = self._end_ns
-        if end == NEVER_NS:
-            start = self._start_ns()
-            if min(start, restart_ns) > t_ns:
+        end_ns = self._end_ns
+        if end_ns == NEVER_NS:
+            start_ns = self._start_ns()
+            if min(start_ns, restart_ns) > t_ns:
                 return False
-            if start < restart_ns:
-                self._arbitrate(start)
+            if start_ns < restart_ns:
+                self._arbitrate(start_ns)
                 return True
-        elif min(end, restart_ns) > t_ns:
+        elif min(end_ns, restart_ns) > t_ns:
             return False
-        elif end <= restart_ns:
-            self._finish_frame(end)
+        elif end_ns <= restart_ns:
+            self._finish_frame(end_ns)
             return True
         self._restart_controllers(restart_ns)
         return True

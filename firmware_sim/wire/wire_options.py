@@ -124,12 +124,14 @@ def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
     return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
 
 
-def _number_in_range(option_text: str, text: str, low: float, high: float) -> float:
+def _number_in_range(option_text: str, text: str, minimum: float, maximum: float) -> float:
     """Parse a number that must lie in a given range."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not low <= value <= high:
-        raise SimulatorError(f"--wire {option_text}: expected a number from {low:g} to {high:g}")
+    if not minimum <= value <= maximum:
+        raise SimulatorError(
+            f"--wire {option_text}: expected a number from {minimum:g} to {maximum:g}"
+        )
     return value

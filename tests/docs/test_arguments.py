@@ -20,7 +20,7 @@ FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 def commands_in_text(text: str) -> list[list[str]]:
     """Return the words of each handctl command in a document.
 
-    The function leaves out command lines that contain placeholders or redirections.
+    The result has no command lines that contain placeholders or redirections.
     """
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE_PATTERN.findall(text):

@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The pages use files and hands that belong to the reader. The tests replace the reader's files and
-hands by packaged files and hands.
+The commands on the pages name files and hands that a reader would have. In their place, the tests
+use packaged files and hands.
 """
 
 import re

@@ -55,7 +55,7 @@ def navigation_pages(navigation_entry: Any) -> list[str]:
 
 
 def navigation_titles(navigation_entry: Any) -> dict[str, str]:
-    """Return the titles of the pages in a part of the site's navigation. Pages without a title are left out."""
+    """Return the title of each page in a part of the site's navigation, except for pages without a title."""
     if isinstance(navigation_entry, str):
         return {}
     if isinstance(navigation_entry, list):

@@ -42,8 +42,8 @@ def section_lines(page: str, heading_anchor: str) -> str:
     """
     text = (DOCS_FOLDER / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
-        plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
-        if heading_anchor and re.sub(r"[\s-]+", "-", plain) == heading_anchor:
+        heading_text = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
+        if heading_anchor and re.sub(r"[\s-]+", "-", heading_text) == heading_anchor:
             return text[match.start() :]
     assert not heading_anchor, f"{page} has no heading {heading_anchor}"
     return text

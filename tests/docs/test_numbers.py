@@ -30,15 +30,16 @@ def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str
         f"{name} {value}" for name, value in rows_of_result(json.loads(capsys.readouterr().out))
     )
     for page in PAGES_WITH_NUMBERS:
-        places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
-        assert len(places) == 1, page
-        written = " ".join(places[0].splitlines()[2:])
-        pairs = zip(
-            NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(computed_text), strict=True
+        tables = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
+        assert len(tables) == 1, page
+        written_text = " ".join(tables[0].splitlines()[2:])
+        number_pairs = zip(
+            NUMBER_PATTERN.findall(written_text), NUMBER_PATTERN.findall(computed_text), strict=True
         )
-        off = [
-            (a, b)
-            for a, b in pairs
-            if abs(float(a) - float(b)) > RELATIVE_TOLERANCE * float(b) + ROUNDING_TOLERANCE
+        wrong_pairs = [
+            (written_number, computed_number)
+            for written_number, computed_number in number_pairs
+            if abs(float(written_number) - float(computed_number))
+            > RELATIVE_TOLERANCE * float(computed_number) + ROUNDING_TOLERANCE
         ]
-        assert off == [], f"{page.name}: run make figures NAMES=numbers"
+        assert wrong_pairs == [], f"{page.name}: run make figures NAMES=numbers"

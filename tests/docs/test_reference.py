@@ -1,6 +1,6 @@
 """Test that the generated blocks of the documentation pages agree with the code.
 
-The command ``python -m tools.reference`` writes the generated blocks.
+The command ``python -m tools.reference`` writes these blocks into the documentation pages.
 """
 
 import re

@@ -49,7 +49,8 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
     The hand reaches the targets of an action only after a delay. The observation contains the
-    reference angles at the end of the delay, and the action contains the same angles as targets.
+    reference angles for the time at which the delay ends. The targets in the returned action are
+    these reference angles.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(
@@ -74,11 +75,11 @@ def run_episode(environment: Any, seed: int, step_count: int) -> bytes:
     observation, _ = environment.reset(seed=seed)
     rows = [observation.tobytes()]
     for _ in range(step_count):
-        observation, reward, ended, *_ = environment.step(
+        observation, reward, is_terminated, *_ = environment.step(
             rng.uniform(-1.0, 1.0, environment.action_space.shape).astype(np.float32)
         )
         rows += [observation.tobytes(), np.float64(reward).tobytes()]
-        if ended:
+        if is_terminated:
             break
     return b"".join(rows)
 
@@ -116,9 +117,9 @@ def test_the_reference_can_be_tracked(hand_name: str, reference_span: float | No
         **({} if reference_span is None else {"span": (0.0, reference_span)}),
     )
     observation, _ = env.reset(seed=3)
-    rewards, ended, is_truncated = [], False, False
-    while not (ended or is_truncated):
-        observation, reward, ended, is_truncated, info = env.step(
+    rewards, is_terminated, is_truncated = [], False, False
+    while not (is_terminated or is_truncated):
+        observation, reward, is_terminated, is_truncated, info = env.step(
             action_towards_reference(env, observation)
         )
         rewards.append(reward)
@@ -133,11 +134,11 @@ def test_the_object_can_be_grasped(hand_name: str) -> None:
     env = make_env(GRASP_ENV, hand=hand_name, **DIAMETER_OPTIONS.get(hand_name, {}))
     for seed in range(3):
         env.reset(seed=seed)
-        total, step, ended, is_truncated = 0.0, 0, False, False
-        while not (ended or is_truncated):
-            _, reward, ended, is_truncated, info = env.step(closing_action(env, step))
+        total, step, is_terminated, is_truncated = 0.0, 0, False, False
+        while not (is_terminated or is_truncated):
+            _, reward, is_terminated, is_truncated, info = env.step(closing_action(env, step))
             total, step = total + reward, step + 1
-        assert ended, info
+        assert is_terminated, info
         assert info["is_success"], info
         assert total > 10.5
 
@@ -163,9 +164,9 @@ def test_a_fault_ends_an_episode() -> None:
     env = make_env(TRACK_ENV)
     observation, _ = env.reset(seed=0)
     env.simulated_run.simulated_hand.inject("snap tendon=index_tendon at=1s")
-    ended = False
-    while not ended:
-        observation, _, ended, is_truncated, info = env.step(
+    is_terminated = False
+    while not is_terminated:
+        observation, _, is_terminated, is_truncated, info = env.step(
             action_towards_reference(env, observation)
         )
         assert not is_truncated
@@ -179,15 +180,17 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
     No fault ends an episode, and the true tensions stay below the tension limit.
     """
     env = make_env(TRACK_ENV, duration_s=1.0)
-    limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
+    tension_limit_N = max(tendon.tension_max_N for tendon in env.hand.tendon)
     for seed in range(20):
         env.reset(seed=seed)
         rng = np.random.default_rng(seed)
         is_truncated = False
         while not is_truncated:
-            *_, ended, is_truncated, info = env.step(rng.uniform(-1.0, 1.0, 4).astype(np.float32))
-            assert not ended, (seed, info)
-            assert max(env.simulated_run.simulated_hand.truth()["tension"]) < limit
+            *_, is_terminated, is_truncated, info = env.step(
+                rng.uniform(-1.0, 1.0, 4).astype(np.float32)
+            )
+            assert not is_terminated, (seed, info)
+            assert max(env.simulated_run.simulated_hand.truth()["tension"]) < tension_limit_N
 
 
 def test_names_are_those_of_the_client_s_observations() -> None:
@@ -201,21 +204,21 @@ def test_names_are_those_of_the_client_s_observations() -> None:
 
 
 def test_several_processes_give_the_episodes_of_one_process() -> None:
-    def made() -> gymnasium.Env[Any, Any]:
+    def make_short_track_env() -> gymnasium.Env[Any, Any]:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # longer than one episode
-    rows = []
-    for kind in (SyncVectorEnv, AsyncVectorEnv):
-        vector_environment = kind([made, made])
+    results = []
+    for vector_class in (SyncVectorEnv, AsyncVectorEnv):
+        vector_environment = vector_class([make_short_track_env, make_short_track_env])
         observations = [vector_environment.reset(seed=[7, 8])[0]]
         steps = [vector_environment.step(action) for action in actions]
-        rows.append(np.array([*observations, *(row[0] for row in steps)]))
-        assert any(row[3].all() for row in steps)
+        results.append(np.array([*observations, *(step[0] for step in steps)]))
+        assert any(step[3].all() for step in steps)
         vector_environment.close()
-    np.testing.assert_array_equal(*rows)
-    assert not np.array_equal(rows[0][:, 0], rows[0][:, 1])
+    np.testing.assert_array_equal(*results)
+    assert not np.array_equal(results[0][:, 0], results[0][:, 1])
 
 
 @pytest.mark.parametrize(
@@ -232,9 +235,9 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
 def test_a_wrong_option_is_one_line(
     environment_id: str, environment_options: dict[str, Any], expected_message: str
 ) -> None:
-    kinds = {TRACK_ENV: handctl.gym.TrackEnv, GRASP_ENV: handctl.gym.GraspEnv}
+    environment_classes = {TRACK_ENV: handctl.gym.TrackEnv, GRASP_ENV: handctl.gym.GraspEnv}
     with pytest.raises(ConfigError) as error:
-        kinds[environment_id](**environment_options)
+        environment_classes[environment_id](**environment_options)
     assert expected_message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -250,9 +253,9 @@ def test_a_wrong_action_is_one_line() -> None:
 
 
 def test_a_missing_extra_is_one_line_that_names_it() -> None:
-    code = "import sys\nsys.modules['gymnasium'] = None\nimport handctl.gym"
+    program_text = "import sys\nsys.modules['gymnasium'] = None\nimport handctl.gym"
     result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program_text], capture_output=True, text=True, check=False
     )
     assert result.stderr.splitlines()[-1].endswith(
         "handctl.gym needs gymnasium: pip install 'handctl[gym]'"

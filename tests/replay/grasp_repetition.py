@@ -14,7 +14,10 @@ SETTLING_TIME_S = 0.4
 
 
 def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArray[np.float64]:
-    """Return how much the mean joint angle of each digit differs between two runs (times, digits) [deg]."""
+    """Return the absolute difference of each digit's mean joint angle between two runs [deg].
+
+    The result has the shape (times, digits).
+    """
     start, end = active_interval(original_log)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(original_log.header.metadata["hand"])
@@ -31,7 +34,10 @@ def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArra
 def mean_held_tensions(
     original_log: RunLog, repeated_log: RunLog
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions of both runs (tendons,) while the grasp is at rest [N]."""
+    """Return the mean tension of each tendon while the grasp is at rest, for both runs [N].
+
+    Each of the two arrays has the shape (tendons,).
+    """
     starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
     rest_interval = starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start

@@ -159,7 +159,7 @@ def record_lockstep_run(
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.send_record(pack_tick_record(entry, out))
 
-    loop = ControlLoop(
+    control_loop = ControlLoop(
         clock,
         plan.period_ns,
         [LockstepBus(clock)],
@@ -172,7 +172,7 @@ def record_lockstep_run(
         snapshot_recorder(recorder),
     )
     try:
-        return loop.run(controller.initial_state())
+        return control_loop.run(controller.initial_state())
     finally:
         recorder.close("done")
         peer.close()

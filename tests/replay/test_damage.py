@@ -78,15 +78,18 @@ def _put_chunk(
 
     The written file ends before its last checksum.
     """
-    raw = log_path.read_bytes()
-    packed = lz4.frame.compress(new_content)
-    head = bytearray(raw[chunk.offset : chunk.data_offset])
-    head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
+    log_bytes = log_path.read_bytes()
+    compressed_content = lz4.frame.compress(new_content)
+    head = bytearray(log_bytes[chunk.offset : chunk.data_offset])
+    head[1:9] = (len(head) - 9 + len(compressed_content)).to_bytes(8, "little")
     if has_valid_checksum:
         head[33:37] = zlib.crc32(new_content).to_bytes(4, "little")
-    head[-8:] = len(packed).to_bytes(8, "little")
+    head[-8:] = len(compressed_content).to_bytes(8, "little")
     log_path.write_bytes(
-        raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : record_scan.end]
+        log_bytes[: chunk.offset]
+        + bytes(head)
+        + compressed_content
+        + log_bytes[chunk.end : record_scan.end]
     )
 
 
@@ -119,9 +122,9 @@ def test_log_check_reports_any_changed_byte_of_a_chunk(
 ) -> None:
     _, scan = _scan_chunks(log_copy)
     chunk = scan.chunks[5]
-    raw = bytearray(log_copy.read_bytes())
-    raw[(chunk.data_offset + chunk.end) // 2] ^= 1
-    log_copy.write_bytes(raw)
+    log_bytes = bytearray(log_copy.read_bytes())
+    log_bytes[(chunk.data_offset + chunk.end) // 2] ^= 1
+    log_copy.write_bytes(log_bytes)
     assert main(["log", "check", str(log_copy), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]
     assert len(findings) == 2
@@ -136,8 +139,8 @@ def test_other_gains_in_the_header_break_the_chain_at_the_first_tick(log_copy: P
 
 
 def test_a_recovered_log_has_an_unbroken_chain(log_copy: Path, tmp_path: Path) -> None:
-    raw = log_copy.read_bytes()
-    log_copy.write_bytes(raw[: len(raw) // 2])
+    log_bytes = log_copy.read_bytes()
+    log_copy.write_bytes(log_bytes[: len(log_bytes) // 2])
     recover_log(log_copy, tmp_path / "new.mcap")
     with RunLog(tmp_path / "new.mcap") as opened_log:
         assert not [line for line in check_log(opened_log) if "chain" in line]

@@ -111,9 +111,11 @@ def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:
         for _, out in run.run_ticks(40.0):
             faults |= {event.text for event in out.events if event.name == "fault"}
             if out.phase == "playback":
-                true = run.simulated_hand.world.plant.engine.q
+                true_angles = run.simulated_hand.world.plant.engine.q
                 errors.append(
-                    np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
+                    np.degrees(true_angles[:9] - out.telemetry.q_goal[:9])
+                    .reshape(3, 3)
+                    .mean(axis=1)
                 )
         assert run.last_output is not None
         assert run.last_output.mode == HandMode.DONE

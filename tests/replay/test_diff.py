@@ -89,11 +89,11 @@ def test_a_wrong_identity_is_reported(golden_folder: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_unknown_values_have_no_difference_and_no_delay() -> None:
-    signals_before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
-    signals_after = np.roll(signals_before, 10, axis=0)
-    signals_after[:, 1], signals_after[7, 2] = np.nan, np.nan
+    original_signals = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
+    repeated_signals = np.roll(original_signals, 10, axis=0)
+    repeated_signals[:, 1], repeated_signals[7, 2] = np.nan, np.nan
     comparison = compare_signals(
-        ("known", "unknown", "nearly"), signals_before, signals_after, 0.01
+        ("known", "unknown", "nearly"), original_signals, repeated_signals, 0.01
     )
     assert comparison["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
     assert np.isnan(list(comparison["unknown"].values())).all()
@@ -103,19 +103,19 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     """If a joint is at rest, the signal of its angle is only noise in both runs.
 
-    There is always a time shift at which the noise of both runs agrees best. The time shift of the
-    noise must not be reported as a delay of the joint.
+    There is always a time shift at which the noise of both runs agrees best. The comparison must
+    not report this time shift as a delay of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
-    signals_before = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
-    signals_after = np.column_stack(
+    original_signals = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
+    repeated_signals = np.column_stack(
         [noise[1], 0.1 + noise[1], 0.5 + 0.9 * sine_signal[10:-10] + noise[1]]
     )
     comparison = compare_signals(
         ("stands", "stands elsewhere", "moves, weaker and beside"),
-        signals_before,
-        signals_after,
+        original_signals,
+        repeated_signals,
         0.01,
     )
     delays = [row["delay_s"] for row in comparison.values()]
@@ -130,11 +130,11 @@ def test_unknown_differences_are_not_printed() -> None:
     behind".
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
-    unknown_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
-    known_difference = unknown_difference | {"delay_s": -1e-6}
+    early_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
+    simultaneous_difference = early_difference | {"delay_s": -1e-6}
     compared = {
-        "joint_deg": {"j1": unknown, "j2": unknown_difference},
-        "tendon_N": {"slack": unknown, "rope": known_difference},
+        "joint_deg": {"j1": unknown, "j2": early_difference},
+        "tendon_N": {"slack": unknown, "rope": simultaneous_difference},
     }
     assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",

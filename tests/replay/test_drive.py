@@ -29,7 +29,7 @@ from handctl.replay.run_comparison import (
 
 @pytest.fixture(scope="module")
 def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Let a simulated hand perform the golden grasp again at another control rate and with other sensor noise.
+    """Repeat the golden log jamia-grasp on a simulated hand, at another control rate and with other sensor noise.
 
     Return the path of the new log.
     """
@@ -113,13 +113,13 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden_fol
 
 
 def test_another_hand_is_refused_with_both_identities(golden_folder: Path) -> None:
-    other_hand = load_hand("jamia11")
+    jamia11 = load_hand("jamia11")
     with (
         RunLog(golden_folder / "jamia-grasp.mcap") as log,
         pytest.raises(IncomparableError) as caught,
     ):
-        check_same_hand(log, other_hand.name, other_hand.identity, "--hand jamia11")
-    assert other_hand.identity[:12] in str(caught.value)
+        check_same_hand(log, jamia11.name, jamia11.identity, "--hand jamia11")
+    assert jamia11.identity[:12] in str(caught.value)
     assert load_hand("jamia").identity[:12] in str(caught.value)
 
 
@@ -136,8 +136,8 @@ def test_a_delay_is_measured(delay_ticks: int, rate_hz: float) -> None:
 
 def test_a_constant_signal_has_no_delay() -> None:
     constant_signal = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
-    row = compare_signals(("a",), constant_signal[:, None], constant_signal[:, None] + 2.0, 0.005)[
-        "a"
-    ]
-    assert (row["rms"], row["peak"]) == pytest.approx((2.0, 2.0))
-    assert np.isnan(row["delay_s"])
+    difference = compare_signals(
+        ("a",), constant_signal[:, None], constant_signal[:, None] + 2.0, 0.005
+    )["a"]
+    assert (difference["rms"], difference["peak"]) == pytest.approx((2.0, 2.0))
+    assert np.isnan(difference["delay_s"])

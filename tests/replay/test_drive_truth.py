@@ -119,14 +119,15 @@ def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> Run
     return run_pair
 
 
-def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition) -> None:
-    """If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
+def test_the_repetition_gives_the_same_log(run_with_repetition: RunWithRepetition) -> None:
+    """Compare the log of the repetition with the log of the recorded run.
 
+    If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
     Without a control loop for the angle, a tension error of half a newton turns a digit by six
     degrees against its springs.
 
     At the first contact of a digit, a tension error of one newton changes the estimated joint
-    angles by two more degrees.
+    angles by another two degrees.
     """
     comparison = run_with_repetition.compare_replay()
     worst = (
@@ -145,7 +146,7 @@ def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition
 
 
 @pytest.mark.parametrize("digit", DIGIT_NAMES)
-def test_second_replay_gives_the_same_truth(
+def test_the_repetition_gives_the_same_truth(
     run_with_repetition: RunWithRepetition, digit: str
 ) -> None:
     """The test compares the mean joint angle of each digit.

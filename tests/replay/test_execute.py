@@ -245,10 +245,10 @@ def test_other_gains_give_other_commands_and_a_figure(
         commands = CommandCollector()
         execute_log(log, stiff_gains, commands.add_tick)
         ticks = commands.comparable_ticks(log)
-        change = command_differences(log, commands, ticks)
+        differences = command_differences(log, commands, ticks)
         assert commands.motor_torques.shape == log.field("motor_torque_goal").shape
         draw_commands(tmp_path / "change.png", log, commands, ticks, "a run with other gains")
-    assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())
+    assert all(size["peak"] > 0.01 for size in differences["motor_torque_N_m"].values())
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -142,7 +142,7 @@ def with_event(added_event: TickEvent) -> Callable[[TickOut], TickOut]:
     return lambda out: out._replace(events=(added_event,))
 
 
-def with_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
+def with_changed_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
     return lambda out: out._replace(
         frames=(out.frames[0]._replace(**frame_changes), *out.frames[1:])
     )
@@ -154,9 +154,9 @@ def with_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
         with_event(TickEvent("warn", "phase", "", "hold")),
         with_event(TickEvent("info", "mode", "", "hold")),
         with_event(TickEvent("info", "phase", "thumb", "hold")),
-        with_frame(flags=4),
-        with_frame(can_id=EXTENDED_FLAG | 1),
-        with_frame(t_ns=5),
+        with_changed_frame(flags=4),
+        with_changed_frame(can_id=EXTENDED_FLAG | 1),
+        with_changed_frame(t_ns=5),
     ],
 )
 def test_every_difference_is_named(

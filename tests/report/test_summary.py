@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core.tick_types import HandMode
 from handctl.report.run_summary import (
-    hold_windows,
+    hold_phase_masks,
     mean_angles,
     measured_bus_load,
     root_mean_square,
@@ -154,18 +154,21 @@ def test_slack_tendons_do_not_count() -> None:
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(log_with_hold_phase(ramp_ticks=20), JAMIA_HAND)
+    (window,) = hold_phase_masks(log_with_hold_phase(ramp_ticks=20), JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
     empty_log = log_with_hold_phase()
     empty_log.fields["contact"][:] = 0.0
-    assert not np.any(hold_windows(empty_log, JAMIA_HAND)), "without a hold there are no windows"
+    assert not np.any(hold_phase_masks(empty_log, JAMIA_HAND)), (
+        "without a hold there are no windows"
+    )
     log_with_two_holds = GeneratedRunLog(
         JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold firmly"}
     )
     log_with_two_holds.fields["contact"][:, 0] = 1.0
     log_with_two_holds.fields["tension_goal"][:] = 9.0
     windows = [
-        np.flatnonzero(window).tolist() for window in hold_windows(log_with_two_holds, JAMIA_HAND)
+        np.flatnonzero(window).tolist()
+        for window in hold_phase_masks(log_with_two_holds, JAMIA_HAND)
     ]
     assert windows == [list(range(50, 150)), list(range(250, 400))]
 
@@ -184,24 +187,24 @@ def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
         "[[phase]]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in phase.items())
         for phase in phases
     ]
-    assert not hold_windows(log, JAMIA_HAND), "a log without its task"
+    assert not hold_phase_masks(log, JAMIA_HAND), "a log without its task"
     log.header.attachments["task.toml"] = "\n".join(['schema = 1\nname = "grip"', *lines]).encode()
-    (window,) = hold_windows(log, JAMIA_HAND)
+    (window,) = hold_phase_masks(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
     truth = zero_truth_record(JAMIA_HAND, 400)
     set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[0]}", 22.0)
     set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[3]}", 25.0)
     assert summarise_run(log, JAMIA_HAND, truth, 0)["tension_hold_error_n"] == pytest.approx(3.0)
     log.phases = [log.phases[0]._replace(name="hold open"), *log.phases[1:]]
-    assert len(hold_windows(log, JAMIA_HAND)) == 1, "a move is no hold"
+    assert len(hold_phase_masks(log, JAMIA_HAND)) == 1, "a move is no hold"
     log.header.attachments["task.toml"] = b"\xff = ["
-    assert len(hold_windows(log, JAMIA_HAND)) == 1, "the names alone, if the task is damaged"
+    assert len(hold_phase_masks(log, JAMIA_HAND)) == 1, "the names alone, if the task is damaged"
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
     log = log_with_hold_phase(ramp_ticks=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
-    (window,) = hold_windows(log, JAMIA_HAND)
+    (window,) = hold_phase_masks(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist()[-1] == 299
     assert 119 + 45 <= np.argmax(window) <= 119 + 50
 

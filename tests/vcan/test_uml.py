@@ -36,18 +36,22 @@ def guest_processes(folder: str) -> list[int]:
     return pids
 
 
-@pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
-def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
+@pytest.mark.parametrize("end_command", ["exit 7", "kill -SEGV $$"])
+def test_a_kernel_with_vcan_needs_no_guest(
+    monkeypatch: pytest.MonkeyPatch, end_command: str
+) -> None:
     # with this change of the program, Linux seems to have vcan
     monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")
     monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
     status = uml_guest.run_with_vcan(
-        ["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, print_line=output.append
+        ["bash", "-c", f"echo $WORD; pwd; {end_command}"],
+        {"WORD": "a  b"},
+        print_line=output.append,
     )
     assert uml_guest.vcan_access() == ("native", "")
     assert output[:2] == ["a b", str(Path.cwd())]
-    assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end]
+    assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end_command]
 
 
 @pytest.mark.usefixtures("_require_guest")
@@ -86,15 +90,17 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
             with contextlib.suppress(ProcessLookupError):
                 cores.append(os.sched_getaffinity(process))
 
-    start_s = time.monotonic()
+    guest_start_s = time.monotonic()
     assert uml_guest.run_with_vcan(["true"]) == 0
-    started_s = time.monotonic() - start_s
+    guest_run_duration_s = time.monotonic() - guest_start_s
     with tempfile.TemporaryDirectory() as folder:
         # the name of the folder marks the processes of the present test
         monkeypatch.setattr(tempfile, "tempdir", folder)
         script = "echo started; sleep 1000"
         status = uml_guest.run_with_vcan(
-            ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, print_line=record_line
+            ["bash", "-c", script],
+            timeout_s=5.0 + 4.0 * guest_run_duration_s,
+            print_line=record_line,
         )
         assert status == uml_guest.TIMED_OUT_STATUS
         assert output == ["started"]
@@ -102,9 +108,9 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
             assert {len(allowed) for allowed in cores} == {1}, (
                 "kernel and program of a guest use one core"
             )
-        end = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + 20.0
         while (
-            guest_processes(folder) and time.monotonic() < end
+            guest_processes(folder) and time.monotonic() < deadline_s
         ):  # killed processes end after a delay
             time.sleep(0.1)
         assert not guest_processes(folder)

@@ -209,9 +209,9 @@ def _guest_command(job: Path) -> list[str]:
 def _command_prefix_for_amx(job: Path) -> list[str]:
     """Return the command prefix that the guest system needs on a processor with AMX registers.
 
-    User-mode Linux alone does not save the AMX registers of a processor. The prefix loads a library
-    with which user-mode Linux can run on a processor with AMX. On a processor without AMX, the
-    returned list is empty.
+    User-mode Linux alone does not save the AMX registers of a processor. The command
+    prefix sets LD_PRELOAD to a library with which user-mode Linux can run on a processor with AMX.
+    On a processor without AMX, the returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"
@@ -283,16 +283,16 @@ def _report_job(lines: Iterator[str], job: Path, print_line: Callable[[str], Non
     other lines come from the Linux kernel and from init.
     """
     other_lines: list[str] = []
-    started = False
+    has_command_started = False
     for line in lines:
         if line.endswith(f"end {job}"):
             if unfinished := line.removesuffix(f"end {job}"):
                 print_line(unfinished)
             return other_lines
-        if started:
+        if has_command_started:
             print_line(line)
         elif line == f"begin {job}":
-            started = True
+            has_command_started = True
         else:
             other_lines.append(line)
     return other_lines

@@ -29,7 +29,7 @@ class AsyncHandClient:
 
     Every method has the same effect as the ``HandClient`` method with the same name, and raises the
     same errors. Each call of a method runs in a thread, so that other tasks of the event loop
-    continue. ``observe`` is an ordinary method, because it returns at once. If a task is cancelled
+    continue. ``observe`` is not a coroutine, because it returns at once. If a task is cancelled
     during a call, the hand keeps its present goal. To bring the hand to rest after a cancellation,
     call ``hold``.
 
@@ -67,7 +67,7 @@ class AsyncHandClient:
 
     async def __aexit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -76,7 +76,7 @@ class AsyncHandClient:
         If the block ends with an exception or a cancellation, no second exception is raised for a
         fault of the run.
         """
-        await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
+        await asyncio.shield(asyncio.to_thread(self.client.__exit__, error_type, error, trace))
 
     async def close(self) -> None:
         """End the control of the hand, see ``HandClient.close``."""
@@ -201,7 +201,7 @@ class AsyncTargetStream:
 
     async def __aexit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:

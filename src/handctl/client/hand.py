@@ -81,7 +81,8 @@ such a delay.
 """
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""
-RUN_OWNER = "a running handctl run"
+EXPECTED_CONTROLLER_TEXT = "a running handctl run"
+"""Text of the expected state in an error about a silent controller."""
 CONFIRMATION_OPTION = "--yes"
 """Argument of ``handctl run`` by which the operator allows a hand on a real bus to move."""
 _client_number_counter = itertools.count(1)
@@ -129,18 +130,18 @@ def connect(
     """
     _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
-    specs = list(parse_bus_arguments(buses).values())
-    if not specs:
+    bus_specs = list(parse_bus_arguments(buses).values())
+    if not bus_specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
-    if is_running(specs[0]):
+    if is_running(bus_specs[0]):
         if other_arguments := [text for text in arguments if text != CONFIRMATION_OPTION]:
-            location = f"arguments for the controller that already runs on {specs[0]}"
-            remedy = f"none, or first handctl stop --bus {specs[0]}"
+            location = f"arguments for the controller that already runs on {bus_specs[0]}"
+            remedy = f"none, or first handctl stop --bus {bus_specs[0]}"
             raise ConfigError(" ".join(other_arguments), location, remedy)
-        expected = None if hand is None else load_hand(os.fspath(hand)).name
-        return HandClient(specs[0], (), lease_s, watchdog_s, expected)
+        expected_hand_name = None if hand is None else load_hand(os.fspath(hand)).name
+        return HandClient(bus_specs[0], (), lease_s, watchdog_s, expected_hand_name)
     if hand is None:
-        refuse_default_hand(specs, "hand")
+        refuse_default_hand(bus_specs, "hand")
     options = [
         "--hand",
         os.fspath(hand or DEFAULT_HAND),
@@ -149,7 +150,7 @@ def connect(
         "--until-eof",
     ]
     command = [sys.executable, "-m", "handctl.cli", "run", *options, *arguments]
-    return HandClient(specs[0], command, lease_s, watchdog_s)
+    return HandClient(bus_specs[0], command, lease_s, watchdog_s)
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
@@ -265,11 +266,11 @@ class HandClient:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._finish_command(raises_error=kind is None)
+        self._finish_command(raises_error=error_type is None)
 
     def move(
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
@@ -442,10 +443,10 @@ class HandClient:
         self._set_goal({"do": "grasp", "task": content})
         if not wait:
             return self.observe(wait=True)
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         observation = self.observe(wait=True)
         while observation.phase != hold_phase_name:
-            if observation.phase == "live" or time.monotonic() > end:
+            if observation.phase == "live" or time.monotonic() > deadline_s:
                 raise DriveError(
                     f"the hand does not hold an object: it is in phase {observation.phase!r}",
                     f"task {grasp_task.name}",
@@ -509,7 +510,7 @@ class HandClient:
         """
         self._record_call_time()
         reader = self._open_reader()
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             self._check_not_closed()
             record = (
@@ -519,7 +520,7 @@ class HandClient:
             )
             if record is not None:
                 return Observation(record, self.description)
-            self._check_run_and_timeout(reader, end)
+            self._check_run_and_timeout(reader, deadline_s)
             time.sleep(OBSERVATION_POLL_PERIOD_S)
 
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
@@ -549,17 +550,17 @@ class HandClient:
         """
         reader = self._open_reader()
         reader.last_read_number = reader.written_count
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             self._check_not_closed()
             if (record := reader.next_record()) is not None:
-                end = time.monotonic() + timeout_s
+                deadline_s = time.monotonic() + timeout_s
                 self._record_call_time()
                 yield Observation(record, self.description)
             elif reader.has_run_ended:
                 return
             else:
-                self._check_run_and_timeout(reader, end)
+                self._check_run_and_timeout(reader, deadline_s)
                 yield None
 
     def wait_for(
@@ -590,7 +591,7 @@ class HandClient:
             )
         if not digits and phase is None:
             raise ConfigError("no condition", "wait_for", "contact or phase")
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             observation = self.observe(wait=True)
             are_all_in_contact = all(
@@ -598,7 +599,7 @@ class HandClient:
             )
             if are_all_in_contact and (phase is None or observation.phase == phase):
                 return observation
-            if time.monotonic() > end:
+            if time.monotonic() > deadline_s:
                 raise DriveError(
                     f"condition not met after {timeout_s:g} s: {observation.phase}",
                     f"bus {self.bus}: wait_for",
@@ -618,15 +619,15 @@ class HandClient:
             self._observations = ObservationReader(self.bus)
         return self._observations
 
-    def _check_run_and_timeout(self, reader: ObservationReader, end: float) -> None:
-        """Raise an error if the run has ended, or if the end time ``end`` of a wait has passed."""
+    def _check_run_and_timeout(self, reader: ObservationReader, deadline_s: float) -> None:
+        """Raise an error if the run has ended, or if the deadline of a wait has passed."""
         if reader.has_run_ended:
             self._collect_result()
             self._check_run_active()
             raise DriveError("the run has ended", f"bus {self.bus}")
-        if time.monotonic() >= end:
+        if time.monotonic() >= deadline_s:
             self._check_run_active()
-            raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
+            raise BusError("the controller is silent", f"bus {self.bus}", EXPECTED_CONTROLLER_TEXT)
 
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
         """Return the present state of the hand as plain Python values.
@@ -652,18 +653,20 @@ class HandClient:
             BusError: the controller sends no status line within ``timeout_s``.
         """
         self._record_call_time()
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             self._check_run_active()
             with self._lock:
                 line = self._watcher.request_status_line(
-                    max(0.0, min(STATE_POLL_PERIOD_S, end - time.monotonic()))
+                    max(0.0, min(STATE_POLL_PERIOD_S, deadline_s - time.monotonic()))
                 )
             if line is not None:
                 self._is_hand_off |= are_drives_off(line)
                 return line
-            if time.monotonic() >= end:
-                raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
+            if time.monotonic() >= deadline_s:
+                raise BusError(
+                    "the controller is silent", f"bus {self.bus}", EXPECTED_CONTROLLER_TEXT
+                )
 
     def wait(self, phase: str, timeout_s: float) -> dict[str, Any]:
         """Wait until the hand is in a phase, and return the state of the hand.
@@ -675,9 +678,9 @@ class HandClient:
         Raises:
             DriveError: the run has ended, or the timeout has passed.
         """
-        end = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         last_phase = "no state received"
-        while (remaining_s := end - time.monotonic()) > 0.0:
+        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
             self._check_run_active()
             with suppress(BusError):
                 line = self.state(min(STATE_POLL_PERIOD_S, remaining_s))
@@ -831,8 +834,12 @@ class HandClient:
             self._collect_result()
             with self._output_lock:
                 self._stderr.close()
-        code = self.child.returncode if self.child else 0
-        if code and not self._error_raised and (raises_error or code == ExitCode.REMOVE_POWER):
+        exit_code = self.child.returncode if self.child else 0
+        if (
+            exit_code
+            and not self._error_raised
+            and (raises_error or exit_code == ExitCode.REMOVE_POWER)
+        ):
             raise self._run_error()
 
     def _collect_result(self) -> None:
@@ -852,13 +859,13 @@ class HandClient:
 
     def _run_error(self) -> DriveError:
         """Return the exception for the error that ended the run."""
-        code = self.child.returncode if self.child else 0
-        signal_text = f"killed by signal {-code}" if code < 0 else ""
+        exit_code = self.child.returncode if self.child else 0
+        signal_text = f"killed by signal {-exit_code}" if exit_code < 0 else ""
         # If no failure ended the run, the last message of the controller is a notice that does not
         # explain the error.
-        message = self._last_message if code else ""
+        message = self._last_message if exit_code else ""
         reason = self.result.get("failure") or signal_text or message or "it was stopped"
-        if code == ExitCode.REMOVE_POWER:
+        if exit_code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 

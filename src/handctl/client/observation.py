@@ -23,8 +23,9 @@ class Observation:
 
     Every field of ``record`` is also an attribute of the observation. The name of an attribute ends
     with the unit. In the shapes of the attributes, J, N, M and D are the numbers of joints,
-    tendons, motors and digits. The values are in the order of the hand file. The method ``named``
-    returns the values of a field as a dict.
+    tendons, motors and digits. The elements of each attribute are in the order of the joints,
+    tendons, motors or digits in the hand file. The method ``named`` returns the values of a field
+    as a dict.
 
     Attributes:
         record: all values of the observation, as a numpy record of shape ().

@@ -110,7 +110,7 @@ class TargetStream:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -144,7 +144,7 @@ class TargetStream:
         """Sleep until the next target is due.
 
         If the program is late, the method returns at once. The next targets are due at the rate of
-        the stream. The program should not send the targets for which it is late.
+        the stream. A program that is late should skip the targets whose time has passed.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 

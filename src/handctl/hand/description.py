@@ -304,7 +304,8 @@ class Hand(Section):
     def base_joints(self) -> dict[str, int]:
         """Return the index of the joint whose link carries the digit, by the name of the digit.
 
-        The index counts all joints of the hand. If the palm carries the digit, the index is -1.
+        The index is the position of the joint among all joints of the hand. If the palm carries the
+        digit, the index is -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -378,8 +379,8 @@ class Hand(Section):
     def content(self) -> dict[str, Any]:
         """Return the content of the hand file, with default values for missing keys.
 
-        The names in the returned dictionary are the keys of the hand file, and the values are plain
-        values.
+        The names in the returned dictionary are the keys of the hand file. The values are built-in
+        Python types, such as numbers, texts, lists and dicts.
         """
         content = self.model_dump(by_alias=True, mode="python")
         keys_added_later = {

@@ -1,6 +1,6 @@
 """Geometry and mass of a digit's links, in the frame of each link.
 
-The module computes joint axes, orientations, centres of mass and inertias.
+For each link, the module computes joint axis, orientation, centre of mass and inertia.
 """
 
 import math

@@ -48,7 +48,7 @@ def moment_arm_polynomial(arm: MomentArm) -> Array:
 def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
     """Return the angles (k,) [rad] and the moment arms (k,) [m] of a table of moment arms.
 
-    For a moment arm that is not a table, k is 0.
+    For a moment arm that is not a table, both arrays are empty (k = 0).
     """
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)

@@ -381,15 +381,15 @@ def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
     """
     lines = []
     for tendon in hand.tendon:
-        tables = {
+        table_by_joint = {
             joint: arm
             for joint, arm in tendon.moment_arm_m.items()
             if len(moment_arm_table(arm)[0])
         }
-        if tables:
+        if table_by_joint:
             differences_text = ", ".join(
                 f"{1e3 * moment_arm_table_residual(arm):.2g} mm at {joint}"
-                for joint, arm in tables.items()
+                for joint, arm in table_by_joint.items()
             )
             lines.append(
                 f"{tendon.name}: the polynomial of its table of moment arms differs by at most {differences_text}"

@@ -86,7 +86,7 @@ _MOTION_TABLE_COLUMN_COUNT = 27
 def write_link_poses(
     link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
 ) -> None:
-    """Write the poses of all links into ``pose``. The columns for carried masses stay unchanged.
+    """Write the poses of all links into ``pose``, and leave the columns of ``pose`` for carried masses unchanged.
 
     Args:
         link_table: array that contains the table of links, see the docstring of the module.

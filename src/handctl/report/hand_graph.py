@@ -80,14 +80,16 @@ def text_graph(hand: Hand) -> str:
     node = hand.sensor_node
     lines = []
     for bus in hand.bus:
-        data = f", data phase {bus.data_bitrate / 1e6:g} Mbit/s" if bus.data_bitrate else ""
+        data_phase_text = (
+            f", data phase {bus.data_bitrate / 1e6:g} Mbit/s" if bus.data_bitrate else ""
+        )
         motors = sum(motor.bus == bus.name for motor in hand.motor)
         sensors = ""
         if node.bus == bus.name:
             counts = f"{len(node.tendons)} load cells and {len(node.joints)} joint encoders"
             sensors = f", {_sensors_text(hand)} with {counts}"
         lines.append(
-            f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data}, {motors} motors{sensors}"
+            f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data_phase_text}, {motors} motors{sensors}"
         )
     for digit in hand.digit:
         joints = " - ".join(
@@ -98,7 +100,7 @@ def text_graph(hand: Hand) -> str:
         for tendon in _digit_tendons(hand, digit):
             motor = hand.motor_of_tendon(tendon.name)
             cell = " -[load cell]" if tendon.name in node.tendons else ""
-            arms = "  ".join(
+            moment_arms_text = "  ".join(
                 f"{joint.removeprefix(f'{digit.name}_')} {_moment_arm_text(hand, tendon, joint, '+')}"
                 for joint in tendon.arms
             )
@@ -106,7 +108,7 @@ def text_graph(hand: Hand) -> str:
                 f"{motor.bus}:{motor.node_id} {motor.protocol} "
                 f"{motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
             )
-            lines.append(f"  {drive}{cell}- {_tendon_label(tendon)}: {arms}")
+            lines.append(f"  {drive}{cell}- {_tendon_label(tendon)}: {moment_arms_text}")
     if any(joint in node.joints for joint in hand.joints):
         lines += ["", "(j1): a joint with an encoder"]
     return "\n".join(lines)
@@ -147,8 +149,8 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 def _tendon_label(tendon: Tendon) -> str:
     """Return the label of a tendon.
 
-    The label of a tendon in a spool pair is the name and the pretension. Every other label is the
-    name.
+    The label of a tendon in a spool pair is the name and the pretension. The label of any other
+    tendon is only the name.
     """
     if tendon.pretension_N is None:
         return tendon.name
@@ -273,8 +275,8 @@ def _draw_tendon(
         zorder=2,
     )
     axes.text(MOTOR_COLUMN_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
-    spool = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
-    axes.text(MOTOR_COLUMN_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
+    motor_text = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
+    axes.text(MOTOR_COLUMN_X + 0.2, y + 0.25, motor_text, ha="left", va="center", fontsize=6.5)
     if tendon.name in hand.sensor_node.tendons:
         axes.plot(LOAD_CELL_COLUMN_X, y, "s", color=LOAD_CELL_COLOUR, markersize=7, zorder=2)
     axes.text(

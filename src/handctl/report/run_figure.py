@@ -147,10 +147,12 @@ def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> No
     """
     lines = [line.get_data() for axes in axes_row for line in axes.lines]
     visible_values = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
-    low = np.fmin.reduce(visible_values, initial=np.inf)
-    high = np.fmax.reduce(visible_values, initial=-np.inf)
-    if low < high:
-        axes_row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    min_value = np.fmin.reduce(visible_values, initial=np.inf)
+    max_value = np.fmax.reduce(visible_values, initial=-np.inf)
+    if min_value < max_value:
+        axes_row[0].set_ylim(
+            min_value - 0.05 * (max_value - min_value), max_value + 0.05 * (max_value - min_value)
+        )
 
 
 def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
@@ -222,9 +224,11 @@ def _draw_tensions(
             axes.plot(
                 log.times, estimate[:, i], color=colour, alpha=opacity, linewidth=1.2, label=name
             )
-            low = estimate[:, i] - sigma[:, i]
-            high = estimate[:, i] + sigma[:, i]
-            axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
+            lower_bound = estimate[:, i] - sigma[:, i]
+            upper_bound = estimate[:, i] + sigma[:, i]
+            axes.fill_between(
+                log.times, lower_bound, upper_bound, color=colour, alpha=0.25, linewidth=0
+            )
             true_tensions = (
                 None
                 if truth is None
@@ -249,9 +253,11 @@ def _draw_forces(
         zip(axes_row, hand.digit_names, digit_colours(hand), strict=True)
     ):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
-        low = estimate[:, d] - sigma[:, d]
-        high = estimate[:, d] + sigma[:, d]
-        axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
+        lower_bound = estimate[:, d] - sigma[:, d]
+        upper_bound = estimate[:, d] + sigma[:, d]
+        axes.fill_between(
+            log.times, lower_bound, upper_bound, color=colour, alpha=0.25, linewidth=0
+        )
         if truth is not None:
             # The truth file contains the three components of the contact force. The estimate
             # contains only the size of the contact force, without the direction.
@@ -325,7 +331,10 @@ def _mark_positions(
 def _write_mark_name(
     axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
 ) -> None:
-    """Write the name of a mark into each plot of a row, at the time [s] and the height of the mark."""
+    """Write the name of a time mark into each plot of a row of the figure.
+
+    The argument ``position`` contains the time [s], and the height as a fraction of the plot.
+    """
     for axes in axes_row:
         style = {
             "fontsize": 7,

@@ -59,13 +59,13 @@ def write_page(
     Returns:
         The size of the page [bytes].
     """
-    load_picture, load = draw_bus_loads(log, hand)
+    load_picture, max_bus_loads = draw_bus_loads(log, hand)
     metadata = log.header.metadata
     title = f"{hand.name}: {_escaped_text(name)}"
     sections = [
         f"<h1>{title}</h1><p class=sub>{_escaped_text(hand.description)}</p>",
         f"<p class=error>{_escaped_text(log.warning)}</p>" if log.warning else "",
-        _html_section("In numbers", _number_table(log, hand, truth, offset_ns, load)),
+        _html_section("In numbers", _number_table(log, hand, truth, offset_ns, max_bus_loads)),
         _html_section("The hand in each phase", draw_poses(log, hand) + _colour_legend(hand)),
         _html_section(
             "Angles, tensions with their 1-sigma band, contact forces",
@@ -114,7 +114,7 @@ def _number_table(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    load_of_ticks: "np.ndarray[tuple[int], np.dtype[np.float64]]",
+    max_bus_loads: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
     """Return the HTML table with the numbers of a run."""
     summary = summarise_run(log, hand, truth, offset_ns)
@@ -140,7 +140,7 @@ def _number_table(
         (
             "largest bus load, by frames",
             ", ".join(
-                f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load_of_ticks, strict=True)
+                f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, max_bus_loads, strict=True)
             ),
         ),
         (

@@ -43,7 +43,7 @@ TENSION_ERROR_KEYS = (
 def summarise_run(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> dict[str, Any]:
-    """Return all numbers about a run.
+    """Return the summary of a run: rates, lateness, and errors of angles, tensions and the grasp.
 
     Args:
         log: log of the run.
@@ -70,11 +70,11 @@ def summarise_run(
             "max": float(lateness_us.max(initial=0.0)),
         },
     }
-    hold_spans = hold_windows(log, hand)
+    hold_masks = hold_phase_masks(log, hand)
     result |= judge_tracking(log, hand, truth, offset_ns, active)
-    result |= judge_tension(log, hand, truth, offset_ns, active, hold_spans)
-    result |= judge_grasp(log, hand, truth, offset_ns, hold_spans)
-    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, hold_spans)}
+    result |= judge_tension(log, hand, truth, offset_ns, active, hold_masks)
+    result |= judge_grasp(log, hand, truth, offset_ns, hold_masks)
+    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, hold_masks)}
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
@@ -91,7 +91,7 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else float("nan")
 
 
-def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
+def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     """Return one mask (ticks,) for each hold phase of a run.
 
     A mask is True where the hold is settled.
@@ -215,13 +215,13 @@ def judge_tracking(
     digit_of_joint = np.repeat(
         np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
     )
-    joints = np.where(
+    joint_errors = np.where(
         (free_motion_mask & ~touch_mask)[:, digit_of_joint],
         log.field("q_goal") - joint_angles,
         np.nan,
     )
     error_by_joint = {
-        name: hand.display_units.factor[j] * root_mean_square(joints[:, j])
+        name: hand.display_units.factor[j] * root_mean_square(joint_errors[:, j])
         for j, name in enumerate(hand.joints)
     }
     return {
@@ -289,12 +289,13 @@ def judge_tension(
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N), True where a tendon follows a tension target because of a contact of the digit.
 
-    A spool pair for sideways motion is excluded, because it holds a position instead of a tension.
-    A digit on which other digits are mounted, such as a wrist, is also excluded.
+    The mask is False for a spool pair for sideways motion, because such a pair holds a position
+    instead of a tension. The mask is also False for a digit on which other digits are mounted, such
+    as a wrist.
     """
-    slices = [hand.digit_tendons[name] for name in hand.digit_names]
+    digit_slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(
-        np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
+        np.arange(len(digit_slices)), [tendons.stop - tendons.start for tendons in digit_slices]
     )
     directions_by_digit = [
         tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])
@@ -438,7 +439,8 @@ TEXT_BY_ANGLE_SOURCE = {
 def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     """Return table rows (title, text) about the estimated joint angles: source, standard deviation and error.
 
-    Each digit that has an estimated standard deviation has one row. Other digits have no row.
+    The result has one row for each digit that has an estimated standard deviation, and no row for
+    other digits.
     """
     rows = []
     for name, angle in angle_summaries.items():

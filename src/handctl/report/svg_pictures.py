@@ -44,11 +44,11 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 
     The arrows show the forces of the object on the fingertips.
     """
-    moments = _middle_ticks_of_phases(log)
-    if not moments:
+    pose_ticks = _middle_ticks_of_phases(log)
+    if not pose_ticks:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _new_figure(
-        min(len(moments), POSES_PER_ROW), 2.6, 2.9, -(-len(moments) // POSES_PER_ROW)
+        min(len(pose_ticks), POSES_PER_ROW), 2.6, 2.9, -(-len(pose_ticks) // POSES_PER_ROW)
     )
     tree = LinkTree.from_hand(hand)
     digits = tree.digits
@@ -60,7 +60,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     colours = digit_colours(hand)
     for axes in grid:
         axes.set_axis_off()
-    for axes, (name, index) in zip(grid, moments, strict=False):
+    for axes, (name, index) in zip(grid, pose_ticks, strict=False):
         if "palm" in meshes:
             _draw_mesh(axes, meshes["palm"].triangles, PALM_COLOUR)
         else:
@@ -119,9 +119,12 @@ def _picture_limits(
     """
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm_points)))
-    low = corners.min(axis=0)
-    high = corners.max(axis=0)
-    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+    lower_corner = corners.min(axis=0)
+    upper_corner = corners.max(axis=0)
+    return (float(lower_corner[0]), float(upper_corner[0])), (
+        float(lower_corner[1]),
+        float(upper_corner[1]),
+    )
 
 
 def _draw_palm(axes: Any, hand: Hand) -> None:
@@ -285,15 +288,17 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
-                extended = bool(frame.can_id & EXTENDED_FLAG)
+                has_extended_id = bool(frame.can_id & EXTENDED_FLAG)
                 bus_loads[i, frame.bus] += frame_time_s(
-                    size, fd, bus.bitrate, bus.data_bitrate, extended
+                    size, fd, bus.bitrate, bus.data_bitrate, has_extended_id
                 )
     window = max(1, min(round(BUS_LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
-    kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
+    averaging_weights = np.ones(window) / (window * log.header.period_ns * 1e-9)
     load = bus_loads
     if len(log):
-        load = np.column_stack([np.convolve(column, kernel, "same") for column in bus_loads.T])
+        load = np.column_stack(
+            [np.convolve(column, averaging_weights, "same") for column in bus_loads.T]
+        )
     figure, (axes,) = _new_figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
         axes.plot(

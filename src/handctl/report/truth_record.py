@@ -70,9 +70,9 @@ class TruthRecord:
     def interpolated_columns(
         self, column_names: list[str], t_ns: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return the named columns of the record (times, names), interpolated at the given times.
+        """Return the columns with the given names, interpolated at the given times.
 
-        The times are on the clock of the simulator [ns].
+        The result has the shape (times, columns). The times are on the clock of the simulator [ns].
         """
         return np.column_stack([self.interpolated_column(name, t_ns) for name in column_names])
 
@@ -126,25 +126,25 @@ def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int)
     with source_path.open("rb") as file:
         header_line = file.readline()
         try:
-            size = 8 * (len(json.loads(header_line)["columns"]) + 1)
+            bytes_per_row = 8 * (len(json.loads(header_line)["columns"]) + 1)
         except (ValueError, KeyError, TypeError) as error:
             expected = "a JSON line and float64 rows"
             raise LogError(f"is not a truth file: {error}", str(source_path), expected) from None
-        count = (file.seek(0, os.SEEK_END) - len(header_line)) // size
+        row_count = (file.seek(0, os.SEEK_END) - len(header_line)) // bytes_per_row
 
         def time_of_row(row: int) -> int:
-            file.seek(len(header_line) + size * row)
+            file.seek(len(header_line) + bytes_per_row * row)
             return int.from_bytes(file.read(8), "little", signed=True)
 
-        first_row = bisect_left(range(count), start_ns, key=time_of_row)
-        end_row = bisect_right(range(count), end_ns, lo=first_row, key=time_of_row)
+        first_row = bisect_left(range(row_count), start_ns, key=time_of_row)
+        end_row = bisect_right(range(row_count), end_ns, lo=first_row, key=time_of_row)
         if first_row == end_row:
             return 0
-        file.seek(len(header_line) + size * first_row)
+        file.seek(len(header_line) + bytes_per_row * first_row)
         with target_path.open("wb") as copy:
             copy.write(header_line)
             for row in range(first_row, end_row, ROWS_PER_BLOCK):
-                copy.write(file.read(size * min(ROWS_PER_BLOCK, end_row - row)))
+                copy.write(file.read(bytes_per_row * min(ROWS_PER_BLOCK, end_row - row)))
     return end_row - first_row
 
 

@@ -100,15 +100,15 @@ def follow_log(
         ConfigError: the desktop session has no screen on which a viewer could open.
         HandctlError: the viewer does not start.
     """
-    headless = "--headless" in viewer_arguments
-    if not headless:
+    is_headless = "--headless" in viewer_arguments
+    if not is_headless:
         check_screen_exists()
     stop = stop or TerminationFlag()
     run = _wait_for_header(log, stop)
     if run is None:
         return
     viewer_process = start_viewer(
-        ["--expect-data-soon", *viewer_arguments], software_vulkan() if headless else {}
+        ["--expect-data-soon", *viewer_arguments], software_vulkan() if is_headless else {}
     )
     follower = LogFollower(log, run, viewer_process.url)
     try:

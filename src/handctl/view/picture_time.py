@@ -14,10 +14,12 @@ def picture_time(log: RunLog) -> float:
     if not len(log):
         return 0.0
     phase_end_times = [change.t_ns for change in log.phases[1:]] + [int(log.t_ns[-1])]
-    hold_spans = [
+    hold_intervals = [
         (end - change.t_ns, change.t_ns)
         for change, end in zip(log.phases, phase_end_times, strict=True)
         if change.name == PICTURE_PHASE and end > change.t_ns
     ]
-    length, start = max(hold_spans, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0])))
-    return (start + length / 2) * 1e-9
+    duration_ns, start_ns = max(
+        hold_intervals, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0]))
+    )
+    return (start_ns + duration_ns / 2) * 1e-9

@@ -62,8 +62,8 @@ def chunks_of_run_by_part(
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
-    The first part of the result has the static chunks. The later parts have the chunks of the run,
-    in the order of time.
+    The first part of the result has the static chunks. Each later part has the chunks of one time
+    interval of the run. The time intervals are in ascending order.
 
     Args:
         path: path of the log. An incomplete log is accepted.
@@ -87,7 +87,8 @@ def chunks_of_run_by_part(
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
     """Return the path and the list of records of a complete log.
 
-    If the log ends early, the returned path and list belong to a repaired copy of the log.
+    If the log ends early, the function repairs a copy of the log, and returns the path and the list
+    of this copy.
 
     A repaired copy is necessary because Rerun omits parts of the last chunk of an incomplete log.
 

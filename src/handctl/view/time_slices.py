@@ -21,7 +21,8 @@ def time_slices(
 ) -> Iterator[tuple[Path, int]]:
     """Divide a complete log into parts, and yield the parts in the order of time.
 
-    Each part is a log file. The file of a part is overwritten when the next part is requested.
+    Each part is a log file. When the caller requests the next part, the function overwrites the
+    file of the previous part.
 
     Args:
         path: path of a complete log.

@@ -170,8 +170,8 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
     The function does not wait until the viewer listens.
 
     The operating system chooses the port of the viewer. On Rerun's default port 9876, the viewer
-    would also receive streams from other programs. On the default port, the viewer would even
-    receive data for a viewer that was closed earlier.
+    would also receive streams from other programs. A program that still streams to a closed viewer
+    would then stream to the new viewer.
 
     Args:
         viewer_arguments: further arguments of the viewer's command.

@@ -13,7 +13,7 @@ PASSED_WORD, FAILED_WORD = "check passed:", "check failed:"
 
 
 class CheckList:
-    """Checks that a client program has made so far.
+    """List of the checks that a client program has made so far.
 
     Attributes:
         failed: names of the failed checks.

@@ -171,8 +171,8 @@ def check_watchdog(checks: CheckList) -> None:
         checks.check("an enabled motor says so", command().error_code == "0x1")
         time.sleep(1.0)  # the test waits longer than the watchdog time of 0.4 s
         checks.check_raises("the watchdog fires", command, "loss communication")
-        cleared = client.motor_on(motor, "DM4310")
-        checks.check("a motor in error is cleared and enabled", cleared.error_code == "0x1")
+        motor_feedback = client.motor_on(motor, "DM4310")
+        checks.check("a motor in error is cleared and enabled", motor_feedback.error_code == "0x1")
     finally:
         client.close()
     # The client sends the command that clears an error three times, and reads only one of the three

@@ -1,9 +1,9 @@
 """Test the vendor's package ``odrive`` with two simulated drives on vcan0.
 
-The package ``odrive`` finds drives on SocketCAN by their serial numbers. The package connects only
-to drives with firmware 0.6.11 or later. The protocol of the connection is not published. The
-simulated drives have firmware 0.6.10. The package ``odrive`` refuses the firmware 0.6.10 with a
-message that names the version.
+The package ``odrive`` finds drives on SocketCAN by their serial numbers. The package
+``odrive`` connects only to drives with firmware 0.6.11 or later. The protocol with which ``odrive``
+connects to a drive is not published. The simulated drives have firmware 0.6.10. The package
+``odrive`` refuses the firmware 0.6.10 with a message that names the version.
 """
 
 import asyncio

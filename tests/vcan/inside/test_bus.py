@@ -155,13 +155,13 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
         for name in slow_tunnel
     )
     batch = [Frame(n, bytes(8), bus=BUS_INDEX) for n in range(60)]
-    accepted = sender.send(batch)
-    assert 1 <= accepted < len(batch)
+    accepted_count = sender.send(batch)
+    assert 1 <= accepted_count < len(batch)
     assert sender.take_events() == [
-        ("enobufs", f"socketcan:{slow_tunnel[0]}", len(batch) - accepted)
+        ("enobufs", f"socketcan:{slow_tunnel[0]}", len(batch) - accepted_count)
     ]
-    received_frames = drain_bus(receiver, accepted)
-    assert [frame.can_id for frame in received_frames] == list(range(accepted)), (
+    received_frames = drain_bus(receiver, accepted_count)
+    assert [frame.can_id for frame in received_frames] == list(range(accepted_count)), (
         "no refused frame is sent later"
     )
     assert sender.send(batch[:1]) == 1, "the queue has room again"

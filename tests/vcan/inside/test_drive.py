@@ -37,9 +37,9 @@ def _write_homed_calibration(calibration_file: Path) -> None:
     """Write the calibration of a simulated hand that starts with known motor zeros."""
     hand, made_at = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    tendons = dict.fromkeys(hand.tendon_names, tendon_calibration)
+    calibration_by_tendon = dict.fromkeys(hand.tendon_names, tendon_calibration)
     calibration = Calibration(
-        hand="jamia", identity=hand.identity, made=made_at.isoformat(), tendon=tendons
+        hand="jamia", identity=hand.identity, made=made_at.isoformat(), tendon=calibration_by_tendon
     )
     write_calibration(calibration_file, calibration)
 

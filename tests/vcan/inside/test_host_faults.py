@@ -56,7 +56,7 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a controller run. The observer causes faults in the observed run.
+    """Observer that injects faults into the controller run that it observes.
 
     While the hand pulls its tendons, the observer executes one fault action after the other.
 
@@ -116,7 +116,7 @@ def run_tendon_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutc
 def run_until_done(
     work_folder: Path, observer: FaultObserver, expected_end: str
 ) -> tuple[RunOutcome, TruthFile]:
-    """Return the first run that has ended as expected.
+    """Execute runs until one ends as expected, and return the outcome and the true values of this run.
 
     If a run ends because the only core of the guest system was busy, the test repeats the run. A
     defect can end a run in the same way as a busy core. If none of five runs ends as expected, the

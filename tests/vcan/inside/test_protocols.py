@@ -170,10 +170,10 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
-    """In this test, the whole controller runs, with its recorder.
+    """Run the whole controller and its recorder with a hand on two buses.
 
-    The drives of the hand in this test use two protocols. The module ``test_run`` covers neither of
-    the two protocols.
+    The drives of the hand use the protocols CiA 402 and ODrive. The module ``test_run`` tests
+    neither CiA 402 nor ODrive.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_tendon_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)

@@ -52,7 +52,7 @@ class GuestStoppedError(Exception):
 
 
 def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any]:
-    """Measure the tracking error of a stream, and the tracking error of the same motion in a task.
+    """Measure the tracking error of the same motion twice: as a stream of targets, and as a task.
 
     Raises:
         GuestStoppedError: the client, the controller or the simulated hand did not run for some

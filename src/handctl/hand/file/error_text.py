@@ -93,18 +93,18 @@ def validation_mistakes(
         for error_detail, mistake in zip(unknown_details, unknown_key_mistakes, strict=True)
     }
     for error_detail in error_details:
-        location = error_detail["loc"]
-        where = key_path(content, location)
+        key_location = error_detail["loc"]
+        where = key_path(content, key_location)
         if error_detail["type"] == "missing":
-            if (location[:-1], location[-1]) not in misspelt_keys:
+            if (key_location[:-1], key_location[-1]) not in misspelt_keys:
                 unknown_key_mistakes.append(
-                    FileMistake("missing", where, _meaning_of_missing_key(location, model))
+                    FileMistake("missing", where, _meaning_of_missing_key(key_location, model))
                 )
         elif error_detail["type"] != "extra_forbidden":
             context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
             expected = EXPECTED_BY_ERROR_TYPE.get(error_detail["type"], "{right}").format(**context)
             if error_detail["input"] == UNMEASURED_PLACEHOLDER:
-                expected += _field_meaning(_field_of_key(location, model))
+                expected += _field_meaning(_field_of_key(key_location, model))
             unknown_key_mistakes.append(
                 FileMistake(toml_spelling(error_detail["input"]), where, expected)
             )
@@ -211,7 +211,7 @@ def _unknown_key_mistake(
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
-    As the valid value, the mistake proposes the most similar valid key.
+    The mistake proposes the valid key that is most similar to the unknown key.
     """
     if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
@@ -240,11 +240,11 @@ def with_paths_in_hand_file(
     """
     located_mistakes: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
-        location = _path_in_file(mistake.where, origin_of_path)
-        is_shared = location != mistake.where and mistake.what != "missing"
-        mistake_at_location = mistake._replace(where=location)
+        path_in_file = _path_in_file(mistake.where, origin_of_path)
+        is_shared = path_in_file != mistake.where and mistake.what != "missing"
+        mistake_at_location = mistake._replace(where=path_in_file)
         located_mistakes.setdefault(
-            location if is_shared else mistake_at_location, mistake_at_location
+            path_in_file if is_shared else mistake_at_location, mistake_at_location
         )
     return list(located_mistakes.values())
 
@@ -252,8 +252,8 @@ def with_paths_in_hand_file(
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     """Join mistakes that differ only in the section name of their key path.
 
-    A joined mistake replaces the first of the mistakes that it joins. The key path of a joined
-    mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
+    The result has a joined mistake at the position of the first of its single mistakes. The key
+    path of a joined mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
@@ -300,8 +300,8 @@ def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     """Convert a key path of a hand file's resolved content to the key path in the hand file.
 
-    The function replaces the longest prefix of the key path that ``origin_of_path`` contains. The
-    rest of the key path is unchanged.
+    Some prefixes of the key path are keys of ``origin_of_path``. The function replaces the longest
+    of these prefixes. The rest of the key path is unchanged.
     """
     known_path = path
     while known_path:

@@ -245,9 +245,9 @@ def imported_hand_text(
         )
     common_lines = _common_lines(imported_hand, import_answers)
     file_sections += [_section_text("default.digit", common_lines)] if common_lines else []
-    largest = {tendon["tension_max"] for tendon in tendons}
-    if import_answers.tension_N is None and len(largest) == 1:
-        import_answers = replace(import_answers, tension_N=largest.pop())
+    max_tensions = {tendon["tension_max"] for tendon in tendons}
+    if import_answers.tension_N is None and len(max_tensions) == 1:
+        import_answers = replace(import_answers, tension_N=max_tensions.pop())
     file_sections.append(_section_text("default.tendon", _tendon_lines(import_answers)))
     file_sections.append(
         _section_text("default.motor", _motor_lines(import_answers)) + drive_options_text

@@ -195,7 +195,10 @@ def _remove_common_values(
 def _remove_shared_values(
     section_tables: Sequence[TomlTable], may_be_shared: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
-    """Remove the values that all tables have in common, and return the lines of these values with all comments."""
+    """Remove the values that are equal in all tables, and return one entry for each removed value.
+
+    The entry contains the comments that the tables have about the value.
+    """
     first_values = section_tables[0].values()
     other_values = [block.values() for block in section_tables[1:]]
     keys = [
@@ -384,7 +387,7 @@ def _header_comment(block: TomlTable) -> str:
 
 
 def _table_lines(block: TomlTable, header: str) -> list[str]:
-    """Return the lines of a table, and of the tendons and motors in the table."""
+    """Return the lines of a TOML table, with its subtables of tendons and motors."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
     for kind, subtables in block.subtables.items():

@@ -142,7 +142,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 def _with_correct_table_names(
     content: TableContent,
 ) -> tuple[TableContent, list[FileMistake]]:
-    """Correct misspelt names of the tables with defaults and templates, such as ``defaults``.
+    """Correct misspelt names of the tables of defaults and templates, such as ``defaults`` for ``default``.
 
     If a misspelt name were not corrected, each value of the table would also be reported as missing.
 
@@ -371,7 +371,7 @@ class _TemplateResolver:
 
 
 def _expected_value_count(key: str, link_count: int, joint_types: Any) -> int:
-    """Return the number of values that a digit with the given joint types needs for a key."""
+    """Return how many values the list of a key must have in a digit with the given joint types."""
     if key not in KEYS_PER_JOINT_TYPE:
         return link_count
     prismatic_count = (

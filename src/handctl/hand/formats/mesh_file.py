@@ -1,6 +1,6 @@
 """Triangles of mesh files in the formats binary STL and OBJ.
 
-Only the checks of meshes in handctl need the triangles. MuJoCo and the viewer read the mesh files
+handctl needs the triangles only to check meshes. MuJoCo and the viewer read the mesh files
 themselves.
 """
 

@@ -3,8 +3,8 @@
 In a robot description, the frames of the links can have any orientation.
 
 In a hand file, a digit is a chain of links. The x axis of each link's frame is along the link, and
-passes through the next joint. If a link frame of the robot description has another orientation,
-this module turns the frame.
+passes through the next joint. If the x axis of a frame in the robot description is not along the
+link, this module turns the frame.
 """
 
 import re
@@ -83,7 +83,7 @@ class ModelMesh:
         )
 
     def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
-        """Return a copy of the mesh whose pose is given in another frame of the link.
+        """Return a copy of the mesh, with the pose of the mesh expressed in another frame of the link.
 
         The arguments give the rotation (3, 3) and the origin (3,) [m] of the other frame in the
         present frame.
@@ -404,7 +404,7 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: i
 def _link_frames(
     links: Sequence[ModelLink], chains: Sequence[_LinkChain], source_name: str
 ) -> dict[int, tuple[Array, float]]:
-    """Return the rotation (3, 3) of the new frame and the length [m] of each link.
+    """Return for each link the rotation (3, 3) of its frame in the hand file, and its length [m].
 
     The rotation is relative to the frame that the link has in the robot description.
     """

@@ -126,8 +126,8 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
     The torque and speed limits of the joint are computed from the tendons and motors.
     """
     name = digit.joints[i]
-    kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
-    joint = ET.SubElement(robot_element, "joint", name=name, type=kind)
+    joint_type = PRISMATIC if digit.is_prismatic[i] else "revolute"
+    joint = ET.SubElement(robot_element, "joint", name=name, type=joint_type)
     ET.SubElement(
         joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}"
     )
@@ -181,8 +181,8 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
     The keys of the result are the indices of the coupled joints. Each value of the result contains
     the index of the leading joint, and the ratio. The coupling of a digit with spool pairs is
     rigid. In a digit without spool pairs, the springs determine the coupling. A coupling by springs
-    is valid only in free motion, so the function returns no coupled joints for this digit. A joint
-    that depends on several coordinates follows no single joint, and is left out.
+    is valid only in free motion, so the function returns no coupled joints for this digit. The
+    result omits a joint that depends on several coordinates, because it follows no single joint.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
         return {}

@@ -1,1 +1,1 @@
-"""Content of the dashboard in the viewer. The content is computed from the topics of a log."""
+"""Content of the dashboard in the viewer, computed from the topics of a log."""

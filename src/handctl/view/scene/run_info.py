@@ -100,5 +100,8 @@ class RunInfo:
 
 
 def _missing_fields(field_slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return (name, axis) of each telemetry field that a log lacks. An example of an axis is ``joint``."""
+    """Return (name, axis) of each telemetry field that a log lacks.
+
+    The axis names the components that have one value each in the field, for example ``joint``.
+    """
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in field_slices]

@@ -139,21 +139,21 @@ class TopicConverters:
         """Convert the CAN frames of each tick to the load of each bus [%]."""
         messages = decoded_messages(chunk)
         if messages is not None:
-            load = 100 * self._load.loads_of_ticks(messages)
+            bus_loads_percent = 100 * self._load.loads_of_ticks(messages)
             yield temporal_chunk(
-                "/bus/load", times_since_start(chunk, self._offset), plot_lines(load)
+                "/bus/load", times_since_start(chunk, self._offset), plot_lines(bus_loads_percent)
             )
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert messages that contain the name of a state to a lane of the dashboard."""
         messages = decoded_messages(chunk)
         if messages is not None:
-            names = messages.field("name").to_pylist()
+            state_names = messages.field("name").to_pylist()
             entity_path = STATE_TOPICS[chunk.entity_path]
             yield temporal_chunk(
                 entity_path,
                 times_since_start(chunk, self._offset),
-                rr.StateChange.columns(state=names),
+                rr.StateChange.columns(state=state_names),
             )
 
 
