@@ -215,7 +215,7 @@ def _chunk_record(content: bytes) -> bytes:
 def log_bytes_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the fuzzing target that reads arbitrary bytes as a log.
 
-    The log reader and the recovery of incomplete logs both read the bytes.
+    The fuzzing target passes its input to the log reader, and to the recovery of incomplete logs.
     """
     path = folder / "bytes.mcap"
     output_path = folder / "out.mcap"

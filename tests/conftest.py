@@ -108,9 +108,9 @@ class RepeatAfterStallPlugin:
     tries.
 
     In some tests, simulated time runs slower than real time. If a test with slowed simulated time
-    is repeated, its simulated time runs even slower, by the factor of the fixture
-    ``time_scale_of_attempt``. The slower simulated time runs, the less effect a stall of the
-    machine has. A defect in the code has the same effect at any speed of simulated time.
+    is repeated, the fixture ``time_scale_of_attempt`` slows its simulated time further. The slower
+    simulated time runs, the less effect a stall of the machine has. A defect in the code has the
+    same effect at any speed of simulated time.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -208,7 +208,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip the nightly tests unless the present test run is a nightly test run.
 
-    If ``HANDCTL_SLOW_S`` is set, leave out the slow tests, too.
+    If the environment variable ``HANDCTL_SLOW_S`` is set, also leave out the slow tests.
     """
     if not NIGHTLY:
         for item in items:

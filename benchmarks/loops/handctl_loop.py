@@ -134,7 +134,7 @@ def run_loop(
 
 
 class TimedTick:
-    """A tick of the controller that measures its own wall time.
+    """Tick of the controller with a measurement of the wall time that the tick takes.
 
     The wall time of a tick [ns] is the sum of the wall times of four methods: begin, decide,
     command and conclude.

@@ -168,7 +168,8 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
     """Return several copies of the correct reply to a request for a drive setting.
 
-    A test picks frames at random. With several copies, the test often picks the correct reply.
+    A test picks a frame at random from many frames. With 20 copies, the test often picks the
+    correct reply.
     """
     if not (state.recheck.is_waiting and drive.rechecks):
         return []

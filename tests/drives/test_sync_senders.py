@@ -1,8 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
 On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus without
-a request to the sensor node, the host sends a SYNC frame on behalf of one drive. On each bus, the
-code of one drive sends the heartbeat of the host.
+such a request, one drive object of the host sends a SYNC frame for all drives. On each bus, one
+drive object also sends the heartbeat of the host.
 """
 
 import tomllib

@@ -176,10 +176,10 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 
 
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
-    """With one tendon per joint and the moment arm r at every joint, the moment arms are R = r S.
+    """Check the tensions of a digit with one tendon per joint and the moment arm r at every joint.
 
-    S is the lower triangular matrix of ones. With R = r S, a tendon tension times r is the torque
-    of one joint minus the torque of the next joint.
+    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones.
+    Therefore a tension times r equals the torque of one joint minus the torque of the next joint.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

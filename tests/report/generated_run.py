@@ -61,9 +61,9 @@ class GeneratedRunLog:
 
 
 def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record whose values are zero, with one row for each tick.
+    """Create a truth record whose values are zero, with one row per control period.
 
-    The truth record begins two rows before the run, and ends two rows after the run.
+    Two rows precede tick 0 of the run, and two rows follow the last tick of the run.
     """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]

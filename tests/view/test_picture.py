@@ -106,11 +106,10 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """In this test, another program still sends data to an earlier viewer.
+    """Reproduce a defect: a new viewer showed the data of another program instead of its own views.
 
-    A new viewer must not show the data of the other program.
-
-    Earlier defect: the new viewer showed the data of the other program instead of its own views.
+    Another program can still send data to the default port of Rerun. For this reason, the new viewer
+    must use another port.
     """
     running, client = viewer_without_layout
     assert not running.url.endswith(":9876/proxy"), (

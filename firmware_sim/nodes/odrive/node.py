@@ -404,7 +404,7 @@ class OdriveNode:
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
 
-        The active mode uses only the inputs that the mode needs.
+        A frame can contain inputs that the active control mode of the drive does not use.
         """
         if command == 0x0C:
             position, velocity, torque = struct.unpack("<fhh", data)

@@ -114,7 +114,8 @@ _DRIVE_TARGET_BY_MODE = {
 def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
     """Return the last frames of a run, after which other programs can use the drives.
 
-    If the run has failed, the result is empty, and the drives stay in their present state.
+    Return an empty tuple before the mode DONE, and after a failed run. After a failed run, the
+    drives stay in their present state.
     """
     if state.mode != HandMode.DONE or state.failure:
         return ()

@@ -175,7 +175,8 @@ def present_relax_rate(state: ControllerState) -> float:
 def is_open_loop(state: ControllerState) -> bool:
     """Return True if the command of each motor is the envelope itself.
 
-    Commands that equal the envelope do not depend on measurements.
+    The envelope is an upper limit of the motor force that falls with time. A command that equals
+    the envelope does not depend on new measurements.
     """
     return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 

@@ -354,7 +354,10 @@ class Controller:
         tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
-        """Design a control loop for pending gains, and complete state and output, see ``TickInProgress.conclude``."""
+        """Return the state after the tick, and the output of the tick. See ``TickInProgress.conclude``.
+
+        If new gains are pending, first design the control loop for the new gains.
+        """
         state = tick_in_progress.state
         if tick_in_progress.state_before_torques:
             tick_in_progress.events += self._design_pending_gains(
@@ -467,7 +470,7 @@ class Controller:
             next_row += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the groups of load-cell frames from all amplifiers whose set-up is not complete.
+        """Return the indices of the load-cell frames whose amplifier is not completely set up.
 
         The controller does not use the values that an amplifier sends before its set-up is
         complete.

@@ -224,9 +224,9 @@ class ControlLoop(Generic[S]):
     def rehearse_tick(self) -> Iterator[None]:
         """Execute the first two steps of the last tick again, and yield between the steps.
 
-        The first two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. A
-        rehearsal includes neither requests nor commands, and the result of the rehearsal is
-        discarded.
+        The steps begin and decide use most of the code and the data of a tick, see
+        ``clocks.rehearsal``. A rehearsal includes neither requests nor commands, and the result of
+        the rehearsal is discarded.
         """
         if self._rehearsed_inputs:
             tick = self.begin_tick(*self._rehearsed_inputs)

@@ -59,7 +59,7 @@ def run_dir() -> Path:
 
 
 def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) -> Path:
-    """Walk from the root folder to a folder. Check each folder on the way, and create missing folders.
+    """Check each folder from the root folder to a given folder, and create missing folders.
 
     Args:
         path: path of the folder.

@@ -72,9 +72,10 @@ class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        tick_heads: (ticks,) first part of each Tick message. The first part has a constant length.
-        first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
-            number of all ticks.
+        tick_heads: (ticks,) first part of each Tick message, from k to action. This part has a
+            constant length.
+        first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element
+            is the number of all ticks.
         snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
             of the snapshot messages.
     """

@@ -169,7 +169,7 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """Add a pause that sets the clock back to its gate, if the clock has passed the gate.
+        """Set the clock back to its gate by an additional pause, if the clock has passed the gate.
 
         For the simulator, time does not jump back, because the simulator has never used a time
         after the gate.

@@ -59,7 +59,7 @@ class ConformanceCheck(NamedTuple):
 
 
 class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """Raised if a drive does not meet a requirement. The text of the exception describes the observation."""
+    """Raised if a drive does not meet a requirement. The text of the exception describes how the drive behaved."""
 
 
 class CheckNotPossible(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
@@ -91,8 +91,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first check that turns the shaft fails, the second check that turns the
-    shaft is left out.
+    turn the shaft. If the first of these two checks fails, the second is left out.
     """
     is_usable = True
     reversed_direction_failed = False
