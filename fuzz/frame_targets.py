@@ -49,19 +49,19 @@ def frames_of_input(
 
     Most of the frames have an identifier from ``selectable_ids``.
     """
-    at = 1
+    offset = 1
     end = len(data)
     for _ in range(MAX_FRAMES):
-        if at + 3 > end:
+        if offset + 3 > end:
             return
-        id_byte, shape_byte, control_byte = data[at : at + 3]
+        id_byte, shape_byte, control_byte = data[offset : offset + 3]
         can_id = (
             selectable_ids[id_byte % len(selectable_ids)]
             if id_byte < 240
             else (id_byte << 3 ^ control_byte) & 0x7FF
         )
         size = 8 if shape_byte & 3 else control_byte % (MAX_PAYLOAD_BYTES + 1)
-        payload = data[at + 3 : at + 3 + size]
+        payload = data[offset + 3 : offset + 3 + size]
         t_ns += LONG_SILENCE_NS if control_byte >= LONG_SILENCE_MIN_BYTE else STEP_NS
         yield (
             Frame(
@@ -73,7 +73,7 @@ def frames_of_input(
             ),
             control_byte,
         )
-        at += 3 + size
+        offset += 3 + size
 
 
 class RecordedState(NamedTuple):

@@ -126,32 +126,32 @@ def _split_log(path: Path) -> list[list[bytes]]:
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in FUZZED_TOPICS}
     chunks = [
-        [record for record in _split_records(content) if _belongs_to_channels(record, schemas)]
+        [record for record in _split_records(content) if _is_of_kept_channel(record, schemas)]
         for content in contents
     ]
     first_records = list(_split_records(raw_bytes[8 : result.chunks[0].offset]))
     tail_records = list(_split_records(raw_bytes[result.chunks[-1].end : -8]))
-    part_names = [
+    kept_tail_records = [
         record
         for record in tail_records
-        if record[0] not in PER_TOPIC_RECORDS or _belongs_to_channels(record, schemas)
+        if record[0] not in PER_TOPIC_RECORDS or _is_of_kept_channel(record, schemas)
     ]
     return [
         [_without_checksum(record) for record in first_records],
         *chunks,
-        [_without_checksum(record) for record in part_names],
+        [_without_checksum(record) for record in kept_tail_records],
     ]
 
 
 def _split_records(data: bytes) -> Iterator[bytes]:
-    at = 0
-    while at < len(data):
-        end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
-        yield data[at:end]
-        at = end
+    offset = 0
+    while offset < len(data):
+        end = offset + 9 + struct.unpack_from("<Q", data, offset + 1)[0]
+        yield data[offset:end]
+        offset = end
 
 
-def _belongs_to_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
+def _is_of_kept_channel(record: bytes, kept_channels: dict[int, int]) -> bool:
     """Return True if a record belongs to a channel in ``kept_channels``, or is the schema of such a channel."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept_channels.values() if record[0] == Opcode.SCHEMA else kept_channels)

@@ -70,15 +70,15 @@ def _report_stalls(core: int) -> None:
     Report the end and the duration of each stall [s].
     """
     os.sched_setaffinity(0, {core})
-    parent = os.getppid()
+    parent_pid = os.getppid()
     last_time_s = time.monotonic()
     print("ready", flush=True)
-    while os.getppid() == parent:
+    while os.getppid() == parent_pid:
         time.sleep(SLEEP_PERIOD_S)
-        now = time.monotonic()
-        if now - last_time_s - SLEEP_PERIOD_S > MIN_STALL_S:
-            print(now, now - last_time_s - SLEEP_PERIOD_S, flush=True)
-        last_time_s = now
+        now_s = time.monotonic()
+        if now_s - last_time_s - SLEEP_PERIOD_S > MIN_STALL_S:
+            print(now_s, now_s - last_time_s - SLEEP_PERIOD_S, flush=True)
+        last_time_s = now_s
 
 
 if __name__ == "__main__":

@@ -97,9 +97,9 @@ class BaselineLoop:
         """Decode one reply frame of a motor, and add the decoded values to ``log_row``."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             payload_bits = int.from_bytes(message.data, "little")
-            first_cell = 5 * (message.arbitration_id - self.sensor_base_id)
-            for i in range(first_cell, min(first_cell + 5, len(self.filters))):
-                tension = (payload_bits >> (4 + 12 * (i - first_cell)) & 0xFFF) * 0.0625 - 6.0
+            first_cell_index = 5 * (message.arbitration_id - self.sensor_base_id)
+            for i in range(first_cell_index, min(first_cell_index + 5, len(self.filters))):
+                tension = (payload_bits >> (4 + 12 * (i - first_cell_index)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
                 self.filters[i].update(tension)
                 log_row["tension"].append(float(self.filters[i].x[0, 0]))

@@ -157,8 +157,8 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
     In the returned state, the next read-back of a drive setting is already due.
     """
     protocol_state = state.protocol_state
-    clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
-    times = {name: t_ns for name in clocks if name in protocol_state._fields}
+    time_fields = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
+    times = {name: t_ns for name in time_fields if name in protocol_state._fields}
     recheck = readback.first_recheck(node_id, t_ns - readback.RECHECK_PERIOD_NS)
     return state._replace(
         feedback_t_ns=t_ns, recheck=recheck, protocol_state=protocol_state._replace(**times)

@@ -55,11 +55,11 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
         for i, name in enumerate(joints):
             number = len(tendons)
             arms = {joint: float(rng.uniform(0.002, 0.006)) for joint in joints[: i + 1]}
-            ratios = {joint: 200.0 * arms.pop(joint) for joint in sliding & arms.keys()}
+            excursion_ratios = {joint: 200.0 * arms.pop(joint) for joint in sliding & arms.keys()}
             tendons.append(
                 content["tendon"][0]
                 | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms}
-                | ({"excursion_ratio": ratios} if ratios else {})
+                | ({"excursion_ratio": excursion_ratios} if excursion_ratios else {})
             )
             motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
     gravity = rng.normal(size=3)

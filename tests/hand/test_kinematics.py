@@ -180,9 +180,9 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
 
 def test_inverse_near_the_edge_of_reach(digits):
     for digit in digits:
-        reach = sum(digit.lengths)
-        assert np.allclose(inverse_kinematics(digit, reach, 0.0, 0.0), 0.0, atol=1e-6)
-        assert inverse_kinematics(digit, reach + 1e-6, 0.0, 0.0) == ()
+        max_reach = sum(digit.lengths)
+        assert np.allclose(inverse_kinematics(digit, max_reach, 0.0, 0.0), 0.0, atol=1e-6)
+        assert inverse_kinematics(digit, max_reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
             x, y, angle = planar_tip_pose(digit, q)

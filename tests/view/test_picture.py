@@ -88,8 +88,8 @@ def test_a_bare_log_opens_with_a_hand_that_moves(
         time.sleep(0.7)
         screenshots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
     assert problem_reports_of_view(client) == []
-    moved = (np.abs(screenshots[0] - screenshots[1]).max(axis=2) > 30).mean()
-    assert 0.005 < moved < 0.5
+    changed_pixel_fraction = (np.abs(screenshots[0] - screenshots[1]).max(axis=2) > 30).mean()
+    assert 0.005 < changed_pixel_fraction < 0.5
     assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
 
 
@@ -130,8 +130,8 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
             "", store, [shown_recording], [View("1", "3D", "hand", "/", True, [])], [], None, None
         )
 
-    def line(end: int | None) -> Timeline:
-        return Timeline("run_time", "duration", 0, end)
+    def line(end_ns: int | None) -> Timeline:
+        return Timeline("run_time", "duration", 0, end_ns)
 
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
     remaining_states = iter(

@@ -163,26 +163,29 @@ def test_frames_put_the_fingertips_where_kinematics_does(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog, log_path: Path
 ) -> None:
     edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
-    now = int(run_log.t_ns[-1] * 0.5)
+    time_ns = int(run_log.t_ns[-1] * 0.5)
     for entity in (recorded_entities["/tf_static"], recorded_entities["/tf"]):
-        rows = {name.split(":")[1]: values for name, values in entity.rows.items()}
-        for i in np.flatnonzero(entity.times <= now):
-            child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
+        values_by_component = {name.split(":")[1]: values for name, values in entity.rows.items()}
+        for i in np.flatnonzero(entity.times <= time_ns):
+            child, parent = (
+                values_by_component["child_frame"][i][0],
+                values_by_component["parent_frame"][i][0],
+            )
             edges[child] = (
                 parent,
-                np.array(rows["translation"][i][0]),
-                np.array(rows["quaternion"][i][0]),
+                np.array(values_by_component["translation"][i][0]),
+                np.array(values_by_component["quaternion"][i][0]),
             )
-    at = int(
+    tick_index = int(
         np.searchsorted(
             run_log.t_ns,
-            recorded_entities["/tf"].times[recorded_entities["/tf"].times <= now].max(),
+            recorded_entities["/tf"].times[recorded_entities["/tf"].times <= time_ns].max(),
         )
     )
     hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
         tip = link_transforms(
-            DigitModel.from_hand(hand, digit.name), run_log.field("q")[at, joints]
+            DigitModel.from_hand(hand, digit.name), run_log.field("q")[tick_index, joints]
         )[-1]
         np.testing.assert_allclose(_frame_position(edges, tip.frame), tip.position, atol=1e-7)
 
@@ -207,13 +210,13 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
     robot = ET.fromstring(run_log.header.attachments["hand.urdf"])
-    visuals = {
+    visual_paths = {
         f"/hand/{link.get('name')}/visual_{i}"
         for link in robot
         for i, _ in enumerate(link.iter("visual"))
     }
-    assert visuals == {path for path in recorded_entities if path.startswith("/hand/")}
-    for path in visuals:
+    assert visual_paths == {path for path in recorded_entities if path.startswith("/hand/")}
+    for path in visual_paths:
         static_values = recorded_entities[path].static_values
         (kind,) = {name.split(":")[0] for name in static_values} & {
             "Boxes3D",

@@ -555,14 +555,14 @@ class OdriveNode:
                 for new_error, legacy in _LEGACY_ERRORS.items()
                 if (self.active_errors | self.disarm_reason) & new_error
             )
-            done = self.motion.done << 7
+            trajectory_done_bit = self.motion.done << 7
             return struct.pack(
                 "<IBBBB",
                 errors,
                 self.state,
                 errors == _LEGACY_ERRORS[MOTOR_OVERHEATED_ERROR],
                 0,
-                done,
+                trajectory_done_bit,
             )
         errors = self.active_errors | self.disarm_reason
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)

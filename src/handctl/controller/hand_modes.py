@@ -412,15 +412,18 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
             HandMode.DONE,
             f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling_motors)}",
         )
-    enabled = motors_not_confirmed_off(state, inputs.names)
-    if not enabled:
+    possibly_enabled_motors = motors_not_confirmed_off(state, inputs.names)
+    if not possibly_enabled_motors:
         # A drive can report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.time_in_mode < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
-    return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
+    return (
+        HandMode.DONE,
+        f"{REMOVE_POWER}: not confirmed disabled: {', '.join(possibly_enabled_motors)}",
+    )
 
 
 def _next_mode_after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:

@@ -732,7 +732,7 @@ class Controller:
             (derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
         )
         # A hand without sensors needs no SYNC frame, so row 0 is not sent.
-        start = 0 if derived_constants.sends_sync else 1
+        first_sent_row = 0 if derived_constants.sends_sync else 1
         amplifiers = state.decisions.amplifiers
         if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
@@ -749,20 +749,23 @@ class Controller:
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
-        sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
+        sent_frames = self._write_commands(state, frame_rows, first_sent_row, target, torque, t_ns)
         if amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
         if mode != CUT:
             return sent_frames
         return concatenate_frames(
-            [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
+            [
+                frames_as_records(self.torque_cut_frames()),
+                Frames.from_rows(frame_rows[first_sent_row:1]),
+            ]
         )
 
     def _write_commands(
         self,
         state: ControllerState,
         frame_words: WordRows,
-        start: int,
+        first_sent_row: int,
         target: DriveTarget,
         torque: Vector,
         t_ns: int,
@@ -775,7 +778,7 @@ class Controller:
         Args:
             state: state of the tick, modified in place.
             frame_words: memory for the frames, where row 0 is the SYNC frame.
-            start: first row to send: 0 with SYNC, 1 without.
+            first_sent_row: first row to send: 0 with SYNC, 1 without.
             target: requested state of the drives.
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
@@ -783,7 +786,7 @@ class Controller:
         tables = self.derived_constants.wire_tables
         frame_batches: list[Frames] = []
         first_row = 0
-        first_unsent_row = start
+        first_unsent_row = first_sent_row
         count = 1
         is_clearing = state.is_clearing_errors and state.mode == HandMode.INVENTORY
         n = len(self.drives)
