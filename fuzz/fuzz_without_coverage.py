@@ -117,7 +117,8 @@ def main() -> None:
     run_time_s = round(time.monotonic() - start)
     count = len(corpus_inputs)
     print(
-        f"Done {executed_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, corpus of {count} inputs",
+        f"Done {executed_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, "
+        f"corpus of {count} inputs",
         file=sys.stderr,
     )
 
