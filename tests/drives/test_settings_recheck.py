@@ -46,7 +46,8 @@ def run_drive_with_registers(
 ):
     """Run a drive whose motor replies to torque commands and register requests.
 
-    Return the final state of the drive, and the tick and the register of each register request.
+    Return the final state of the drive, and all register requests. A register request is given by
+    its tick and its register.
     """
     requests = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))

@@ -282,7 +282,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Let the host send heartbeat and SYNC after the command of one CiA 402 drive per bus, and return all drives.
+    """Add heartbeat and SYNC of the host to the commands of one CiA 402 drive per bus, and return all drives.
 
     On each bus, one CiA 402 drive is selected. The host sends its heartbeat after the command of
     the selected drive. If the bus has no other SYNC frames, the host also sends SYNC after the

@@ -5,9 +5,9 @@ so that a tick from a log can be executed again. A tick has four steps. Each ste
 the control loop calls the four methods one by one. The step ``begin_tick`` processes the received
 frames. The step ``decide`` applies requests and chooses the goals. The step ``command`` uses
 streamed targets and goals to compute the frames that will be sent. The step ``conclude`` completes
-the output. Because of the four steps, the control loop can read requests and streamed targets as
-late as possible, and can send the commands as early as possible. The method ``tick`` executes all
-four steps of a tick.
+the state and the output of the tick. Because of the four steps, the control loop can read requests
+and streamed targets as late as possible, and can send the commands as early as possible. The method
+``tick`` executes all four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact

@@ -118,7 +118,7 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
 
 
 def _duplicate_kind(payloads: list[bytes], expected_count: int) -> int:
-    """Return 1 if all excess replies equal the last expected reply, and 2 if their bytes differ."""
+    """Return 1 if every excess reply equals the last expected reply, and 2 if any excess reply differs."""
     return 2 if len(set(payloads[expected_count - 1 :])) > 1 else 1
 
 
