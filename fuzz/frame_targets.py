@@ -29,7 +29,7 @@ from tests.drives.wired_drives import WiredDrives
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
-LONG_SILENCE_MIN_BYTE = 240
+MIN_CONTROL_BYTE_OF_SILENCE = 240
 """If the control byte of a frame in the input is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
@@ -62,7 +62,7 @@ def frames_of_input(
         )
         size = 8 if shape_byte & 3 else control_byte % (MAX_PAYLOAD_BYTES + 1)
         payload = data[offset + 3 : offset + 3 + size]
-        t_ns += LONG_SILENCE_NS if control_byte >= LONG_SILENCE_MIN_BYTE else STEP_NS
+        t_ns += LONG_SILENCE_NS if control_byte >= MIN_CONTROL_BYTE_OF_SILENCE else STEP_NS
         yield (
             Frame(
                 can_id | IDENTIFIER_FLAGS[shape_byte >> 5],

@@ -38,18 +38,18 @@ def mutated_inputs(
             continue
         data = bytearray(random_choice(corpus))
         for _ in range(1 + (kind & 3)):
-            at = bits(16) % (len(data) + 1)
+            position = bits(16) % (len(data) + 1)
             operation = bits(3)
-            if operation < 4 and at < len(data):
-                data[at] = bits(8)
-            elif operation == 4 and at < len(data):
-                data[at] ^= 1 << bits(3)
+            if operation < 4 and position < len(data):
+                data[position] = bits(8)
+            elif operation == 4 and position < len(data):
+                data[position] ^= 1 << bits(3)
             elif operation == 5:
-                del data[at : at + 1 + bits(2)]
+                del data[position : position + 1 + bits(2)]
             elif operation == 6:
-                data[at:at] = random_source.randbytes(1 + bits(3))
+                data[position:position] = random_source.randbytes(1 + bits(3))
             else:
-                data[at:] = random_choice(corpus)[at:]
+                data[position:] = random_choice(corpus)[position:]
         yield bytes(data[:max_bytes])
 
 
@@ -105,7 +105,7 @@ def main() -> None:
     corpus_inputs += [seed[: int(max_input_bytes)] for seed in seed_inputs(name, folder)] or [
         bytes(8)
     ]
-    start = time.monotonic()
+    start_s = time.monotonic()
     inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(max_input_bytes))
     executed_count, accepted_count = feed_inputs(
         TARGET_FACTORIES[name](folder),
@@ -114,7 +114,7 @@ def main() -> None:
         float(duration_s),
         int(run_count),
     )
-    run_time_s = round(time.monotonic() - start)
+    run_time_s = round(time.monotonic() - start_s)
     count = len(corpus_inputs)
     print(
         f"Done {executed_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, "

@@ -95,8 +95,8 @@ def log_fuzz_target(folder: Path) -> FuzzTarget:
                 break
             i = source.take_number(len(log_parts))
             records = changed_records.setdefault(i, log_parts[i].copy())
-            at = source.take_number(len(records))
-            records[at] = _mutated_record(records[at], source)
+            record_index = source.take_number(len(records))
+            records[record_index] = _mutated_record(records[record_index], source)
         path.write_bytes(
             b"".join(
                 [
@@ -190,7 +190,7 @@ def _mutated_record(record: bytes, source: ByteSource) -> bytes:
     kind = source.take_number(8)
     if kind == 0:
         body = bytearray(record)
-    at = source.take_number(1 << 16) % max(
+    start = source.take_number(1 << 16) % max(
         1, len(body) if source.take_number(2) else min(len(body), NUMERIC_FIELD_BYTES)
     )
     new_record = (
@@ -198,8 +198,14 @@ def _mutated_record(record: bytes, source: ByteSource) -> bytes:
         if source.take_number(2)
         else source.take_bytes(1 + source.take_number(8))
     )
-    end = at if kind == 1 else at + source.take_number(64) if kind == 2 else at + len(new_record)
-    body[at:end] = b"" if kind == 2 else new_record
+    end = (
+        start
+        if kind == 1
+        else start + source.take_number(64)
+        if kind == 2
+        else start + len(new_record)
+    )
+    body[start:end] = b"" if kind == 2 else new_record
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 

@@ -129,8 +129,8 @@ class SoakTest:
         """End the old simulated hand, and start a new simulated hand without faults."""
         if self.simulator:
             end_process(self.simulator)
-        words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
-        command = [sys.executable, "-m", "firmware_sim", *words]
+        arguments = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
+        command = [sys.executable, "-m", "firmware_sim", *arguments]
         self.simulator = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
@@ -147,7 +147,7 @@ class SoakTest:
         """
         self.run_number += 1
         write_homed_calibration(Path("c.toml"), load_hand("jamia"))
-        words = (
+        arguments = (
             "--hand",
             "jamia",
             "--bus",
@@ -160,7 +160,7 @@ class SoakTest:
             "--json",
         )
         log = ("--log", f"{self.run_number}.mcap", "--time-scale", self.scale)
-        self.controller = start_handctl("run", *words, *log)
+        self.controller = start_handctl("run", *arguments, *log)
         self.samples_by_process["controller"].append([])
         self.counts["controllers"] += 1
         watcher = StatusWatcher(LOCAL_BUS)
@@ -307,10 +307,10 @@ def main() -> int:
         os.chdir(folder)
         Path("long.toml").write_text(SOAK_TASK)
         soak_test = SoakTest(args.seed, args.time_scale)
-        start = time.monotonic()
+        start_s = time.monotonic()
         try:
             soak_test.start_simulator()
-            while (elapsed_s := time.monotonic() - start) < args.hours * 3600:
+            while (elapsed_s := time.monotonic() - start_s) < args.hours * 3600:
                 soak_test.ensure_controller()
                 soak_test.sample_memory(elapsed_s)
                 text = "no fault" if args.calm else soak_test.inject_random_fault()

@@ -124,22 +124,22 @@ def run_loop(
     loop = BaselineLoop(hand_name, bus_name, log_path)
     request_priority()
     loop.send_all(ENABLE_PAYLOAD)
-    start = time.monotonic()
+    start_s = time.monotonic()
     ticks = 0
     missed_ticks = 0
     lateness_ns = []
-    deadline = start
-    while time.monotonic() - start < duration_s:
+    deadline_s = start_s
+    while time.monotonic() - start_s < duration_s:
         if rate_hz:
-            deadline += 1.0 / rate_hz
-            time.sleep(max(0.0, deadline - time.monotonic()))
-            lateness_s = time.monotonic() - deadline
+            deadline_s += 1.0 / rate_hz
+            time.sleep(max(0.0, deadline_s - time.monotonic()))
+            lateness_s = time.monotonic() - deadline_s
             lateness_ns.append(int(lateness_s * 1e9))
             skipped_ticks = int(lateness_s * rate_hz)
             missed_ticks += skipped_ticks
-            deadline += skipped_ticks / rate_hz
+            deadline_s += skipped_ticks / rate_hz
         loop.run_tick()
         ticks += 1
-    run_time_s = time.monotonic() - start
+    run_time_s = time.monotonic() - start_s
     loop.close()
     return ticks / run_time_s, missed_ticks / ticks, lateness_ns

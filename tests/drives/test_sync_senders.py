@@ -62,12 +62,12 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
         homed_controller(model, LiveProgram())
     ) as run:
         assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
-        sent = [
+        buses_and_lengths = [
             (frame.bus, len(frame.data))
             for frame in run.last_output.frames
             if frame.can_id == SYNC_ID
         ]
-        assert sent == [(0, 1), (1, 0)], (
+        assert buses_and_lengths == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )
 

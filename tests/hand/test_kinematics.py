@@ -212,11 +212,11 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            coordinate, gap = inverse_kinematics_coupled(
+            coordinate, distance = inverse_kinematics_coupled(
                 digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1]
             )
             assert abs(coordinate - theta) < 1e-7
-            assert gap < 1e-9
+            assert distance < 1e-9
 
 
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
@@ -226,9 +226,9 @@ def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
         [joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in coordinate_grid]
     )
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
-        _, gap = inverse_kinematics_coupled(digit, target)
+        _, distance = inverse_kinematics_coupled(digit, target)
         nearest = np.linalg.norm(curve - target, axis=1).min()
-        assert nearest - 1e-6 < gap < nearest + 1e-12
+        assert nearest - 1e-6 < distance < nearest + 1e-12
 
 
 def test_coordinate_limits_respect_the_tightest_joint():

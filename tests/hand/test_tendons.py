@@ -32,19 +32,19 @@ for_each_elasticity = pytest.mark.parametrize(
 
 @for_each_elasticity
 def test_the_knee_is_smooth(law):
-    at = law.knee / law.stiffness
+    knee_stretch = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
         assert math.isclose(
-            law.elastic_tension(at - h),
-            law.elastic_tension(at + h),
+            law.elastic_tension(knee_stretch - h),
+            law.elastic_tension(knee_stretch + h),
             abs_tol=2.1 * h * law.stiffness,
         )
         assert math.isclose(
-            law.tangent_stiffness(at - h),
-            law.tangent_stiffness(at + h),
+            law.tangent_stiffness(knee_stretch - h),
+            law.tangent_stiffness(knee_stretch + h),
             rel_tol=1.1 * h / law.knee_width * 4,
         )
-    assert math.isclose(law.elastic_tension(at), law.knee, rel_tol=1e-12)
+    assert math.isclose(law.elastic_tension(knee_stretch), law.knee, rel_tol=1e-12)
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond_knee, rel_tol=1e-9)
 
 

@@ -59,8 +59,8 @@ def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[T
 
 
 def test_a_frame_that_never_comes_is_lost(golden_ticks: list[TickRecord]) -> None:
-    for at in (300, 310, 320):
-        golden_ticks, _ = ticks_without_frame(golden_ticks, at)
+    for tick_index in (300, 310, 320):
+        golden_ticks, _ = ticks_without_frame(golden_ticks, tick_index)
     assert count_frames(golden_ticks) == (0, 3, 0)
 
 

@@ -50,7 +50,7 @@ def test_a_png_is_written(
     )  # type: ignore[arg-type]
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG")
-    width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    width, height = (int.from_bytes(content[offset : offset + 4], "big") for offset in (16, 20))
     assert width > 800
     assert height > 600
 

@@ -33,17 +33,17 @@ pytestmark = pytest.mark.timeout(120)
 def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     with RunLog(GOLDEN_LOG) as log:
         ticks, run = len(log), RunInfo.from_header(log.header, "x")
-    sizes, since = [], []
+    sizes, start_times_ns = [], []
     for slice_path, since_ns in time_slices(
         GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000
     ):
         with RunLog(slice_path) as log:
             sizes.append(len(log))
-            since.append(since_ns)
+            start_times_ns.append(since_ns)
     assert sizes[0] in (200, 201), "up to the end of a chunk"
     assert sum(sizes) == ticks
-    assert since[0] == 0
-    assert 1_000_000_000 <= since[1] < 1_250_000_000
+    assert start_times_ns[0] == 0
+    assert 1_000_000_000 <= start_times_ns[1] < 1_250_000_000
     late: list[int] = []
     for chunk in chunks_of_run(GOLDEN_LOG, run, 1_000_000_000):
         if chunk.entity_path == "/loop/late" and RUN_TIME_TIMELINE in chunk.timeline_names:

@@ -46,12 +46,12 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     vulkan_environment: dict[str, str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    out = tmp_path / "run.png"
-    assert main(["view", str(jamia_log_path), "--picture", str(out), "--json"]) == 0
+    picture_path = tmp_path / "run.png"
+    assert main(["view", str(jamia_log_path), "--picture", str(picture_path), "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     assert output["reports"] == []
     assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
-    image = pixels_of_png(out.read_bytes())
+    image = pixels_of_png(picture_path.read_bytes())
     assert image.shape == (900, 1600, 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]

@@ -105,8 +105,8 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         np.testing.assert_allclose(
             vectors, force[:, None] * (0, -ARROW_LENGTH_M_PER_N, 0), atol=1e-7
         )
-        at = int(force.argmax())
-        assert entity.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
+        tick_index = int(force.argmax())
+        assert entity.rows["Arrows3D:labels"][tick_index] == [f"{force[tick_index]:.1f} N"]
         assert entity.static_values["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
@@ -253,19 +253,21 @@ def test_time_slices_do_not_change_the_recording(
 def test_a_log_that_ends_early_is_shown_up_to_there(
     log_fraction: float, jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(
+    cut_log_path = tmp_path / "cut.mcap"
+    cut_log_path.write_bytes(
         jamia_log_path.read_bytes()[: int(log_fraction * jamia_log_path.stat().st_size)]
     )
-    with RunLog(cut) as half:
-        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+    with RunLog(cut_log_path) as cut_log:
+        shown_entities = read_entities(
+            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+        )
         np.testing.assert_array_equal(
-            shown_entities["/controller/q"].table("Scalars:scalars"), half.field("q")
+            shown_entities["/controller/q"].table("Scalars:scalars"), cut_log.field("q")
         )
         assert (
             len(shown_entities["/loop/late"].times)
             == len(shown_entities["/bus/load"].times)
-            == len(half)
+            == len(cut_log)
             > 20
         )
 
@@ -276,12 +278,14 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     file, scan = LogFile(jamia_log_path), RecordScan()
     scan_records(file, scan)
     file.close()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
-    with RunLog(cut) as half:
-        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+    cut_log_path = tmp_path / "cut.mcap"
+    cut_log_path.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
+    with RunLog(cut_log_path) as cut_log:
+        shown_entities = read_entities(
+            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+        )
         assert (
-            half.t_ns[-1]
+            cut_log.t_ns[-1]
             == shown_entities["/loop/late"].times[-1]
             == shown_entities["/bus/load"].times[-1]
         )

@@ -551,8 +551,8 @@ class OdriveNode:
         """Return the payload of a heartbeat."""
         if self.legacy:
             errors = sum(
-                legacy
-                for new_error, legacy in _LEGACY_ERRORS.items()
+                legacy_error
+                for new_error, legacy_error in _LEGACY_ERRORS.items()
                 if (self.active_errors | self.disarm_reason) & new_error
             )
             trajectory_done_bit = self.motion.done << 7

@@ -700,10 +700,10 @@ class Controller:
         pending_gains = state.decisions.pending_gains
         assert pending_gains is not None
         if (
-            unfinished := self.design_cache.design_next_loop(self.model, pending_gains)
+            unfinished_design := self.design_cache.design_next_loop(self.model, pending_gains)
         ) is not None:
-            state.decide(pending_gains=unfinished.pending_gains)
-            return unfinished.events
+            state.decide(pending_gains=unfinished_design.pending_gains)
+            return unfinished_design.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
             other_controller._compute_torques(state_before_torques, action, ticks)

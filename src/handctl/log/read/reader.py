@@ -278,8 +278,8 @@ class RunLog:
     @property
     def gaps(self) -> list[TickGap]:
         """Return the gaps of the log. In a gap, one or more ticks are missing."""
-        at = np.flatnonzero(np.diff(self.k) != 1)
-        return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
+        last_ticks_before_gaps = np.flatnonzero(np.diff(self.k) != 1)
+        return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in last_ticks_before_gaps]
 
     def field(self, name: str) -> Array:
         """Return a field of the telemetry (ticks, n).

@@ -185,11 +185,11 @@ class SharedClock(RealClock):
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:
             return
-        end = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
+        wait_end_ns = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
         while not self._is_answered(deadline_ns):
             time.sleep(SIMULATOR_POLL_PERIOD_S)
             self._pause_at_gate()
-            if time.monotonic_ns() > end:
+            if time.monotonic_ns() > wait_end_ns:
                 self._answer_count_at_timeout = numbers[ANSWERED_INDEX]
                 return
 
