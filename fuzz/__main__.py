@@ -64,25 +64,32 @@ def fuzz_target(
     Return a line that describes the result. Also return True if the parser raised no undeclared
     exception.
     """
-    corpus = OUTPUT_FOLDER / "corpus" / target_name
-    crashes = OUTPUT_FOLDER / "found" / target_name
-    corpus.mkdir(parents=True, exist_ok=True)
-    crashes.mkdir(parents=True, exist_ok=True)
+    corpus_folder = OUTPUT_FOLDER / "corpus" / target_name
+    crash_folder = OUTPUT_FOLDER / "found" / target_name
+    corpus_folder.mkdir(parents=True, exist_ok=True)
+    crash_folder.mkdir(parents=True, exist_ok=True)
     limits = [
         f"-max_total_time={duration_s}",
         f"-runs={run_count}",
         f"-max_len={MAX_INPUT_BYTES[target_name]}",
     ]
-    limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
-    command = [sys.executable, "-m", "fuzz.fuzz_with_coverage", target_name, str(corpus), *limits]
+    limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crash_folder}/"]
+    command = [
+        sys.executable,
+        "-m",
+        "fuzz.fuzz_with_coverage",
+        target_name,
+        str(corpus_folder),
+        *limits,
+    ]
     if is_blind:
         command = [
             sys.executable,
             "-m",
             "fuzz.fuzz_without_coverage",
             target_name,
-            str(corpus),
-            str(crashes),
+            str(corpus_folder),
+            str(crash_folder),
             str(duration_s),
             str(run_count),
         ]
@@ -95,7 +102,7 @@ def fuzz_target(
     coverage_counts = COVERAGE_PATTERN.findall(process_result.stderr)
     if process_result.returncode or not run_match:
         return (
-            f"{target_name:13} FAILED  see {OUTPUT_FOLDER / target_name}.txt and {crashes}/",
+            f"{target_name:13} FAILED  see {OUTPUT_FOLDER / target_name}.txt and {crash_folder}/",
             False,
         )
     number = int(run_match[1])

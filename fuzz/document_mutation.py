@@ -95,7 +95,7 @@ def mutated_content(
 
 
 def _copy_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
-    """Replace each node on a path by a copy, and return the copy of the last node.
+    """Replace each node on a path of a document by a copy, and return the copy of the last node.
 
     Return None if an earlier change of the document has removed a node of the path.
     """

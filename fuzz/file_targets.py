@@ -38,7 +38,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_hand_parts(hand: Hand) -> None:
-    """Construct the objects that a run constructs from its hand before the run opens a bus."""
+    """Construct the digits, drives and bus loads of a hand, as a run does before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:

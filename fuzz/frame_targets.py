@@ -1,13 +1,18 @@
 """Fuzzing targets for received CAN frames.
 
-    The fuzzing targets test the decoders of each drive protocol and of the sensor node.
+The fuzzing targets test the decoders of each drive protocol and of the sensor node. An input of a
+fuzzing target has the following fields, with their widths in bits:
 
-    state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
+    state 8 | up to five frames: identifier 8 | shape 8 | control 8 | payload
 
-The first byte of an input selects the initial state of the drive. The corpus begins with inputs
-that contain recorded frames. These frames came from a drive between the first tick and the tick in
-which the drive made torque. Purely random CAN identifiers would hardly ever be identifiers of a
-node.
+The state byte selects the initial state of the drive. The identifier byte selects one of the
+identifiers of the node, because a random CAN identifier hardly ever belongs to a node. The shape
+byte selects the flags of the frame. The shape byte also selects whether the payload has 8 bytes, or
+the length in the control byte. The control byte also selects the pause before the frame, and the
+state that the host requests from the drive.
+
+The corpus begins with inputs that contain recorded frames. A simulated drive sent the recorded
+frames between the first tick and the tick in which the drive made torque.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,13 +29,13 @@ from tests.drives.wired_drives import WiredDrives
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
-LONG_SILENCE_MIN_BYTE = 240
-"""If the third byte of a frame header in the input is at least this value, a long silence precedes the frame."""
+MIN_CONTROL_BYTE_OF_SILENCE = 240
+"""If the control byte of a frame in the input is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_REQUEST_BIT = 0x40
-"""Bit of the third byte in a frame header of the input.
+"""Bit of the control byte of a frame in the input.
 
 If the bit is set, the fuzzing target clears the error of the drive.
 """
@@ -40,24 +45,24 @@ MAX_PAYLOAD_BYTES = 64
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield each frame of an input, together with the control byte of its header in the input.
+    """Yield each frame of an input, together with the control byte of the frame.
 
-    Most of the frames have an identifier of the fuzzed node.
+    Most of the frames have an identifier from ``selectable_ids``.
     """
-    at = 1
+    offset = 1
     end = len(data)
     for _ in range(MAX_FRAMES):
-        if at + 3 > end:
+        if offset + 3 > end:
             return
-        id_byte, shape_byte, control_byte = data[at : at + 3]
+        id_byte, shape_byte, control_byte = data[offset : offset + 3]
         can_id = (
             selectable_ids[id_byte % len(selectable_ids)]
             if id_byte < 240
             else (id_byte << 3 ^ control_byte) & 0x7FF
         )
         size = 8 if shape_byte & 3 else control_byte % (MAX_PAYLOAD_BYTES + 1)
-        payload = data[at + 3 : at + 3 + size]
-        t_ns += LONG_SILENCE_NS if control_byte >= LONG_SILENCE_MIN_BYTE else STEP_NS
+        payload = data[offset + 3 : offset + 3 + size]
+        t_ns += LONG_SILENCE_NS if control_byte >= MIN_CONTROL_BYTE_OF_SILENCE else STEP_NS
         yield (
             Frame(
                 can_id | IDENTIFIER_FLAGS[shape_byte >> 5],
@@ -68,7 +73,7 @@ def frames_of_input(
             ),
             control_byte,
         )
-        at += 3 + size
+        offset += 3 + size
 
 
 class RecordedState(NamedTuple):
@@ -82,7 +87,7 @@ class RecordedState(NamedTuple):
 def record_states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
     """Return a drive of ``FUZZED_DRIVES``, and the recorded states of this drive.
 
-    The states are recorded from the first tick until the drive makes torque.
+    The states of the drive are recorded from the first tick until the drive makes torque.
     """
     fuzzed_drive = FUZZED_DRIVES[drive_name]
     path = hand_file(folder, [fuzzed_drive.protocol], fuzzed_drive.options)
@@ -140,9 +145,10 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 
 
 def _payload_header(payload: bytes) -> tuple[int, int]:
-    """Return two bytes that precede a payload in an input of the fuzzer: shape byte and control byte.
+    """Return the shape byte and the control byte, which precede a payload in an input of the fuzzer.
 
-    With a shape byte of 0, the control byte is the length of the payload.
+    With the shape byte 1, the payload has 8 bytes. With the shape byte 0, the control byte is the
+    length of the payload.
     """
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
@@ -168,8 +174,8 @@ def _feed_drive(
 ) -> bool:
     """Feed the frames of an input to the decoder of a drive.
 
-    After each frame, the function requests a drive phase (such as enabled). Return True if any
-    frame changed the state of the drive.
+    After each frame, the host requests the drive state that the control byte of the frame selects,
+    such as enabled. Return True if any frame changed the state of the drive.
     """
     state = start_state.state
     is_accepted = False

@@ -38,18 +38,18 @@ def mutated_inputs(
             continue
         data = bytearray(random_choice(corpus))
         for _ in range(1 + (kind & 3)):
-            at = bits(16) % (len(data) + 1)
+            position = bits(16) % (len(data) + 1)
             operation = bits(3)
-            if operation < 4 and at < len(data):
-                data[at] = bits(8)
-            elif operation == 4 and at < len(data):
-                data[at] ^= 1 << bits(3)
+            if operation < 4 and position < len(data):
+                data[position] = bits(8)
+            elif operation == 4 and position < len(data):
+                data[position] ^= 1 << bits(3)
             elif operation == 5:
-                del data[at : at + 1 + bits(2)]
+                del data[position : position + 1 + bits(2)]
             elif operation == 6:
-                data[at:at] = random_source.randbytes(1 + bits(3))
+                data[position:position] = random_source.randbytes(1 + bits(3))
             else:
-                data[at:] = random_choice(corpus)[at:]
+                data[position:] = random_choice(corpus)[position:]
         yield bytes(data[:max_bytes])
 
 
@@ -67,45 +67,58 @@ def feed_inputs(
     Returns:
         The number of inputs, and the number of inputs that the parser accepted.
     """
-    start = reported_time_s = time.monotonic()
-    number = 0
+    start_s = reported_time_s = time.monotonic()
+    executed_count = 0
     accepted_count = 0
     data = b""
     try:
-        while run_count < 0 or number < run_count:
+        while run_count < 0 or executed_count < run_count:
             for data, _ in zip(inputs, range(INPUTS_PER_CLOCK_READ), strict=False):
                 accepted_count += target(data)
-            number += INPUTS_PER_CLOCK_READ
-            now = time.monotonic()
-            if 0 < duration_s <= now - start:
+            executed_count += INPUTS_PER_CLOCK_READ
+            now_s = time.monotonic()
+            if 0 < duration_s <= now_s - start_s:
                 break
-            if now - reported_time_s > REPORT_PERIOD_S:
-                reported_time_s = now
-                print(f"{number} runs, {number / (now - start):.0f}/s", file=sys.stderr, flush=True)
+            if now_s - reported_time_s > REPORT_PERIOD_S:
+                reported_time_s = now_s
+                print(
+                    f"{executed_count} runs, {executed_count / (now_s - start_s):.0f}/s",
+                    file=sys.stderr,
+                    flush=True,
+                )
     except BaseException:
         (crash_folder / "blind").write_bytes(data)
         raise
-    return number, accepted_count
+    return executed_count, accepted_count
 
 
 def main() -> None:
     """Fuzz one fuzzing target for the requested time or number of inputs."""
-    name, corpus, crashes, seconds, runs, longest = sys.argv[1:]
+    name, corpus_folder, crash_folder, duration_s, run_count, max_input_bytes = sys.argv[1:]
     shared_path = Path("/dev/shm")
     folder = Path(
         tempfile.mkdtemp(prefix="fuzz-", dir=shared_path if shared_path.is_dir() else None)
     )
-    corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
-    corpus_inputs += [seed[: int(longest)] for seed in seed_inputs(name, folder)] or [bytes(8)]
-    start = time.monotonic()
-    inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
-    number, accepted_count = feed_inputs(
-        TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
+    corpus_inputs = [
+        path.read_bytes()[: int(max_input_bytes)] for path in sorted(Path(corpus_folder).iterdir())
+    ]
+    corpus_inputs += [seed[: int(max_input_bytes)] for seed in seed_inputs(name, folder)] or [
+        bytes(8)
+    ]
+    start_s = time.monotonic()
+    inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(max_input_bytes))
+    executed_count, accepted_count = feed_inputs(
+        TARGET_FACTORIES[name](folder),
+        inputs,
+        Path(crash_folder),
+        float(duration_s),
+        int(run_count),
     )
-    run_time_s = round(time.monotonic() - start)
+    run_time_s = round(time.monotonic() - start_s)
     count = len(corpus_inputs)
     print(
-        f"Done {number} runs in {run_time_s} second(s), {accepted_count} inputs accepted, corpus of {count} inputs",
+        f"Done {executed_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, "
+        f"corpus of {count} inputs",
         file=sys.stderr,
     )
 

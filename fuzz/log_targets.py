@@ -95,8 +95,8 @@ def log_fuzz_target(folder: Path) -> FuzzTarget:
                 break
             i = source.take_number(len(log_parts))
             records = changed_records.setdefault(i, log_parts[i].copy())
-            at = source.take_number(len(records))
-            records[at] = _mutated_record(records[at], source)
+            record_index = source.take_number(len(records))
+            records[record_index] = _mutated_record(records[record_index], source)
         path.write_bytes(
             b"".join(
                 [
@@ -126,32 +126,32 @@ def _split_log(path: Path) -> list[list[bytes]]:
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in FUZZED_TOPICS}
     chunks = [
-        [record for record in _split_records(content) if _belongs_to_channels(record, schemas)]
+        [record for record in _split_records(content) if _is_of_kept_channel(record, schemas)]
         for content in contents
     ]
     first_records = list(_split_records(raw_bytes[8 : result.chunks[0].offset]))
     tail_records = list(_split_records(raw_bytes[result.chunks[-1].end : -8]))
-    part_names = [
+    kept_tail_records = [
         record
         for record in tail_records
-        if record[0] not in PER_TOPIC_RECORDS or _belongs_to_channels(record, schemas)
+        if record[0] not in PER_TOPIC_RECORDS or _is_of_kept_channel(record, schemas)
     ]
     return [
         [_without_checksum(record) for record in first_records],
         *chunks,
-        [_without_checksum(record) for record in part_names],
+        [_without_checksum(record) for record in kept_tail_records],
     ]
 
 
 def _split_records(data: bytes) -> Iterator[bytes]:
-    at = 0
-    while at < len(data):
-        end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
-        yield data[at:end]
-        at = end
+    offset = 0
+    while offset < len(data):
+        end = offset + 9 + struct.unpack_from("<Q", data, offset + 1)[0]
+        yield data[offset:end]
+        offset = end
 
 
-def _belongs_to_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
+def _is_of_kept_channel(record: bytes, kept_channels: dict[int, int]) -> bool:
     """Return True if a record belongs to a channel in ``kept_channels``, or is the schema of such a channel."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept_channels.values() if record[0] == Opcode.SCHEMA else kept_channels)
@@ -190,7 +190,7 @@ def _mutated_record(record: bytes, source: ByteSource) -> bytes:
     kind = source.take_number(8)
     if kind == 0:
         body = bytearray(record)
-    at = source.take_number(1 << 16) % max(
+    start = source.take_number(1 << 16) % max(
         1, len(body) if source.take_number(2) else min(len(body), NUMERIC_FIELD_BYTES)
     )
     new_record = (
@@ -198,8 +198,14 @@ def _mutated_record(record: bytes, source: ByteSource) -> bytes:
         if source.take_number(2)
         else source.take_bytes(1 + source.take_number(8))
     )
-    end = at if kind == 1 else at + source.take_number(64) if kind == 2 else at + len(new_record)
-    body[at:end] = b"" if kind == 2 else new_record
+    end = (
+        start
+        if kind == 1
+        else start + source.take_number(64)
+        if kind == 2
+        else start + len(new_record)
+    )
+    body[start:end] = b"" if kind == 2 else new_record
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 
@@ -215,7 +221,7 @@ def _chunk_record(content: bytes) -> bytes:
 def log_bytes_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the fuzzing target that reads arbitrary bytes as a log.
 
-    The log reader and the recovery of incomplete logs both read the bytes.
+    The fuzzing target passes its input to the log reader, and to the recovery of incomplete logs.
     """
     path = folder / "bytes.mcap"
     output_path = folder / "out.mcap"

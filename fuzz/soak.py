@@ -129,8 +129,8 @@ class SoakTest:
         """End the old simulated hand, and start a new simulated hand without faults."""
         if self.simulator:
             end_process(self.simulator)
-        words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
-        command = [sys.executable, "-m", "firmware_sim", *words]
+        arguments = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
+        command = [sys.executable, "-m", "firmware_sim", *arguments]
         self.simulator = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
@@ -147,7 +147,7 @@ class SoakTest:
         """
         self.run_number += 1
         write_homed_calibration(Path("c.toml"), load_hand("jamia"))
-        words = (
+        arguments = (
             "--hand",
             "jamia",
             "--bus",
@@ -160,7 +160,7 @@ class SoakTest:
             "--json",
         )
         log = ("--log", f"{self.run_number}.mcap", "--time-scale", self.scale)
-        self.controller = start_handctl("run", *words, *log)
+        self.controller = start_handctl("run", *arguments, *log)
         self.samples_by_process["controller"].append([])
         self.counts["controllers"] += 1
         watcher = StatusWatcher(LOCAL_BUS)
@@ -245,19 +245,19 @@ class SoakTest:
 
     def soak_result(self) -> dict[str, object]:
         """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
-        memory_slopes = {
+        slopes_or_none_by_process = {
             name: [memory_slope(life) for life in lives if life]
             for name, lives in self.samples_by_process.items()
         }
-        known_slopes = {
-            name: [text for text in slope_texts if text is not None]
-            for name, slope_texts in memory_slopes.items()
+        slopes_by_process = {
+            name: [slope for slope in slopes_or_none if slope is not None]
+            for name, slopes_or_none in slopes_or_none_by_process.items()
         }
-        for name, found_slopes in known_slopes.items():
+        for name, found_slopes in slopes_by_process.items():
             self.errors += [
-                f"{name} grows by {text:.2f} MiB/h"
-                for text in found_slopes
-                if text > MAX_GROWTH_MIB_PER_H
+                f"{name} grows by {slope:.2f} MiB/h"
+                for slope in found_slopes
+                if slope > MAX_GROWTH_MIB_PER_H
             ]
         memory_rise = {name: max((life[-1].rss_mib - life[0].rss_mib for life in lives if life), default=0) for name,
         lives in
@@ -273,7 +273,7 @@ class SoakTest:
         return {
             "counts": dict(self.counts),
             "rss_rise_mib": memory_rise,
-            "rss_slope_mib_per_h": known_slopes,
+            "rss_slope_mib_per_h": slopes_by_process,
             "descriptors": descriptors,
             "wrong": self.errors,
         }
@@ -306,23 +306,23 @@ def main() -> int:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.chdir(folder)
         Path("long.toml").write_text(SOAK_TASK)
-        soak = SoakTest(args.seed, args.time_scale)
-        start = time.monotonic()
+        soak_test = SoakTest(args.seed, args.time_scale)
+        start_s = time.monotonic()
         try:
-            soak.start_simulator()
-            while (elapsed_s := time.monotonic() - start) < args.hours * 3600:
-                soak.ensure_controller()
-                soak.sample_memory(elapsed_s)
-                text = "no fault" if args.calm else soak.inject_random_fault()
+            soak_test.start_simulator()
+            while (elapsed_s := time.monotonic() - start_s) < args.hours * 3600:
+                soak_test.ensure_controller()
+                soak_test.sample_memory(elapsed_s)
+                text = "no fault" if args.calm else soak_test.inject_random_fault()
                 print(f"{elapsed_s:8.0f} s  {text}", file=sys.stderr, flush=True)
                 time.sleep(args.every)
-            soak.stop_controller()
+            soak_test.stop_controller()
         finally:
-            for process in (soak.controller, soak.simulator):
+            for process in (soak_test.controller, soak_test.simulator):
                 if process:
                     end_process(process)
-        print(json.dumps(soak.soak_result(), indent=2))
-        return 1 if soak.errors else 0
+        print(json.dumps(soak_test.soak_result(), indent=2))
+        return 1 if soak_test.errors else 0
 
 
 if __name__ == "__main__":

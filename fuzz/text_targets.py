@@ -1,6 +1,7 @@
 """Fuzzing targets for texts of one line.
 
-The texts of one line are requests to a running controller, and descriptions of injected faults.
+A text of one line is either a request to a running controller, or the description of an injected
+fault.
 """
 
 from collections.abc import Callable

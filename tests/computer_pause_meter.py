@@ -1,7 +1,7 @@
 """Detect stalls of the machine.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls during a
-test in real time, the controller rightly ends its run. A test that fails because of a stall does
+test in real time, the controller ends its run, as it must. A test that fails for this reason does
 not show a defect in the code. To detect stalls independently of the tested processes, one process
 on each core sleeps again and again, and measures how late it wakes up.
 """
@@ -70,15 +70,15 @@ def _report_stalls(core: int) -> None:
     Report the end and the duration of each stall [s].
     """
     os.sched_setaffinity(0, {core})
-    parent = os.getppid()
+    parent_pid = os.getppid()
     last_time_s = time.monotonic()
     print("ready", flush=True)
-    while os.getppid() == parent:
+    while os.getppid() == parent_pid:
         time.sleep(SLEEP_PERIOD_S)
-        now = time.monotonic()
-        if now - last_time_s - SLEEP_PERIOD_S > MIN_STALL_S:
-            print(now, now - last_time_s - SLEEP_PERIOD_S, flush=True)
-        last_time_s = now
+        now_s = time.monotonic()
+        if now_s - last_time_s - SLEEP_PERIOD_S > MIN_STALL_S:
+            print(now_s, now_s - last_time_s - SLEEP_PERIOD_S, flush=True)
+        last_time_s = now_s
 
 
 if __name__ == "__main__":

@@ -108,9 +108,9 @@ class RepeatAfterStallPlugin:
     tries.
 
     In some tests, simulated time runs slower than real time. If a test with slowed simulated time
-    is repeated, its simulated time runs even slower, by the factor of the fixture
-    ``time_scale_of_attempt``. The slower simulated time runs, the less effect a stall of the
-    machine has. A defect in the code has the same effect at any speed of simulated time.
+    is repeated, the fixture ``time_scale_of_attempt`` slows its simulated time further. The slower
+    simulated time runs, the less effect a stall of the machine has. A defect in the code has the
+    same effect at any speed of simulated time.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -138,13 +138,13 @@ class RepeatAfterStallPlugin:
 
         ``error`` is None if the try passed.
         """
-        longest = (
+        longest_stall_s = (
             self.pause_meter.longest_stall_since(self._start) if self.pause_meter and error else 0.0
         )
-        if longest:
-            self.stalls.append((self._test, longest))
+        if longest_stall_s:
+            self.stalls.append((self._test, longest_stall_s))
             self.wait_without_stall()
-        return longest > 0.0
+        return longest_stall_s > 0.0
 
     def wait_without_stall(self) -> None:
         """Wait until the machine has run for ``STALL_FREE_TIME_S`` without a stall.
@@ -153,11 +153,11 @@ class RepeatAfterStallPlugin:
         stalls often follow.
         """
         assert self.pause_meter
-        until = time.monotonic() + MAX_STALL_WAIT_S
-        while time.monotonic() < until:
-            begin = time.monotonic()
+        deadline_s = time.monotonic() + MAX_STALL_WAIT_S
+        while time.monotonic() < deadline_s:
+            sleep_start_s = time.monotonic()
             time.sleep(STALL_FREE_TIME_S)
-            if not self.pause_meter.longest_stall_since(begin):
+            if not self.pause_meter.longest_stall_since(sleep_start_s):
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -169,9 +169,9 @@ class RepeatAfterStallPlugin:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Report each repeated test, and the longest time for which the machine stood still during the test."""
-        for test, longest in self.stalls:
+        for test, longest_stall_s in self.stalls:
             terminalreporter.write_line(
-                f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"
+                f"failed while the machine stalled for {longest_stall_s * 1e3:.0f} ms: {test}"
             )
 
     def pytest_unconfigure(self) -> None:
@@ -208,7 +208,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip the nightly tests unless the present test run is a nightly test run.
 
-    If ``HANDCTL_SLOW_S`` is set, leave out the slow tests, too.
+    If the environment variable ``HANDCTL_SLOW_S`` is set, also leave out the slow tests.
     """
     if not NIGHTLY:
         for item in items:

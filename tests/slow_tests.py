@@ -2,21 +2,21 @@
 
 `make test` leaves out the slow tests. CI or the nightly run executes the slow tests.
 
-    make test SLOW_TEST_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
+    make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl           # writes the time of each test
     python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
 
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
-A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
-sets ``HANDCTL_SLOW_S`` to 0. CI sets ``HANDCTL_SLOW_S`` to 3, and to 0 for tests that run in real
-time. `make nightly` and plain pytest run all listed tests. The cost of a test is its processor
-time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
-tests still executes the first cases of each test function, until the cost of these cases reaches a
-time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for tests that run
-in real time. An incomplete test run also executes the cheapest test of each file, if this test
-costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests executes at
-least one test of nearly every file.
+A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S`` [s]. `make test`
+sets ``HANDCTL_SLOW_S`` to 0 s. CI uses 3 s for tests in simulated time, and 0 s for tests that run
+in real time. `make nightly` and plain pytest run all listed tests. The cost of a test is its
+processor time. For a test that runs in real time, the cost is its elapsed time. A test run that
+leaves out tests still executes the first cases of each test function, until the cost of these cases
+reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for
+tests that run in real time. An incomplete test run also executes the cheapest test of each file, if
+this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests
+executes at least one test of nearly every file.
 """
 
 import json
@@ -60,7 +60,10 @@ def processor_time() -> float:
 
     The returned time does not include child processes that still run.
     """
-    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    usages = [
+        resource.getrusage(usage_kind)
+        for usage_kind in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ]
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
@@ -87,14 +90,14 @@ class DurationRecorder:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Measure the times of one test, including its fixtures, and write them to the file."""
-        processor = processor_time()
+        processor_time_before = processor_time()
         result = yield
-        times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
-        clock = (
+        times = (processor_time() - processor_time_before, self._elapsed_s.pop(item.nodeid, 0.0))
+        is_real_clock = (
             item.get_closest_marker("realtime") is not None
             or item.get_closest_marker("alone") is not None
         )
-        row = [item.nodeid, *(round(time_s, 3) for time_s in times), clock]
+        row = [item.nodeid, *(round(time_s, 3) for time_s in times), is_real_clock]
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         return result
@@ -109,44 +112,56 @@ def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, f
     """
     files: dict[str, list[tuple[float, str]]] = {}
     cost_by_function: dict[str, float] = {}
-    slow: dict[str, float] = {}
-    for test, processor, elapsed, clock in rows:
-        cost = elapsed if clock else processor
-        function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
+    cost_by_slow_test: dict[str, float] = {}
+    for test, processor_time_s, elapsed_s, is_real_clock in rows:
+        cost = elapsed_s if is_real_clock else processor_time_s
+        function_name = re.sub(r"\[.*", "", test, flags=re.DOTALL)
         files.setdefault(test.partition("::")[0], []).append((cost, test))
-        cost_by_function[function] = cost_by_function.get(function, 0.0) + cost
+        cost_by_function[function_name] = cost_by_function.get(function_name, 0.0) + cost
         if (
-            cost_by_function[function] > (REAL_CLOCK_BUDGET_S if clock else TEST_FUNCTION_BUDGET_S)
+            cost_by_function[function_name]
+            > (REAL_CLOCK_BUDGET_S if is_real_clock else TEST_FUNCTION_BUDGET_S)
             and cost > MIN_SLOW_TEST_COST_S
         ):
-            slow[test] = cost
+            cost_by_slow_test[test] = cost
     for tests in files.values():
         cost, cheapest = min(tests)
-        if all(test in slow for _, test in tests) and cost <= CHEAPEST_TEST_LIMIT_S:
-            del slow[cheapest]
-    return slow
+        if all(test in cost_by_slow_test for _, test in tests) and cost <= CHEAPEST_TEST_LIMIT_S:
+            del cost_by_slow_test[cheapest]
+    return cost_by_slow_test
 
 
-def main(path: Path, add: bool) -> None:
+def main(path: Path, keep_listed_tests: bool) -> None:
     """Write the list of slow tests from a file of durations.
 
     Args:
         path: file with the times of the tests of a run.
-        add: True to keep the tests that are already listed. The option ``add`` is necessary if the
-            test run has left out listed tests.
+        keep_listed_tests: True to keep the tests that are already listed (option ``--add``). This is
+            necessary if the test run has left out listed tests.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    slow = choose_slow_tests(rows) | (read_slow_test_costs() if add else {})
-    head = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
-    lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
+    cost_by_slow_test = choose_slow_tests(rows) | (
+        read_slow_test_costs() if keep_listed_tests else {}
+    )
+    header_line = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
+    lines = [
+        header_line,
+        *(f"{cost_by_slow_test[test]:.1f} {test}" for test in sorted(cost_by_slow_test)),
+    ]
     SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
     sample_s = sum(
-        processor for test, processor, _, clock in rows if test not in slow and not clock
+        processor_time_s
+        for test, processor_time_s, _, is_real_clock in rows
+        if test not in cost_by_slow_test and not is_real_clock
     )
-    clock_s = sum(elapsed for test, _, elapsed, clock in rows if test not in slow and clock)
-    print(f"{len(slow)} of {len(rows)} tests are slow")
-    print(f"a sample takes {sample_s:.0f} s of a core, and {clock_s:.0f} s on the real clock")
+    real_clock_s = sum(
+        elapsed_s
+        for test, _, elapsed_s, is_real_clock in rows
+        if test not in cost_by_slow_test and is_real_clock
+    )
+    print(f"{len(cost_by_slow_test)} of {len(rows)} tests are slow")
+    print(f"a sample takes {sample_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), add="--add" in sys.argv[2:])
+    main(Path(sys.argv[1]), keep_listed_tests="--add" in sys.argv[2:])

@@ -105,14 +105,14 @@ def run_loop(
 
     # To measure the wall time of a tick takes a few microseconds. A measurement of the rate without
     # deadlines must not include the time that the readings of the clock take.
-    begin = (
+    begin_tick = (
         (lambda state, entry: TimedTick(controller, state, entry, tick_times_ns))
         if rate_hz
         else controller.begin_tick
     )
     loop = ControlLoop(
-        clock, plan.period_ns, [bus], begin, cut_frames, counter.requests, lambda: list(recorder.take_events()), record,
-        counter, tick_priority=keep_processors_awake,
+        clock, plan.period_ns, [bus], begin_tick, cut_frames, counter.requests,
+        lambda: list(recorder.take_events()), record, counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:
         clock.rehearsal = Rehearsal(loop.rehearse_tick, plan.period_ns)
@@ -134,7 +134,7 @@ def run_loop(
 
 
 class TimedTick:
-    """A tick of the controller that measures its own wall time.
+    """Tick of the controller with a measurement of the wall time that the tick takes.
 
     The wall time of a tick [ns] is the sum of the wall times of four methods: begin, decide,
     command and conclude.

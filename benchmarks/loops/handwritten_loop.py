@@ -97,9 +97,9 @@ class BaselineLoop:
         """Decode one reply frame of a motor, and add the decoded values to ``log_row``."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             payload_bits = int.from_bytes(message.data, "little")
-            first_cell = 5 * (message.arbitration_id - self.sensor_base_id)
-            for i in range(first_cell, min(first_cell + 5, len(self.filters))):
-                tension = (payload_bits >> (4 + 12 * (i - first_cell)) & 0xFFF) * 0.0625 - 6.0
+            first_cell_index = 5 * (message.arbitration_id - self.sensor_base_id)
+            for i in range(first_cell_index, min(first_cell_index + 5, len(self.filters))):
+                tension = (payload_bits >> (4 + 12 * (i - first_cell_index)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
                 self.filters[i].update(tension)
                 log_row["tension"].append(float(self.filters[i].x[0, 0]))
@@ -124,22 +124,22 @@ def run_loop(
     loop = BaselineLoop(hand_name, bus_name, log_path)
     request_priority()
     loop.send_all(ENABLE_PAYLOAD)
-    start = time.monotonic()
+    start_s = time.monotonic()
     ticks = 0
     missed_ticks = 0
     lateness_ns = []
-    deadline = start
-    while time.monotonic() - start < duration_s:
+    deadline_s = start_s
+    while time.monotonic() - start_s < duration_s:
         if rate_hz:
-            deadline += 1.0 / rate_hz
-            time.sleep(max(0.0, deadline - time.monotonic()))
-            lateness_s = time.monotonic() - deadline
+            deadline_s += 1.0 / rate_hz
+            time.sleep(max(0.0, deadline_s - time.monotonic()))
+            lateness_s = time.monotonic() - deadline_s
             lateness_ns.append(int(lateness_s * 1e9))
             skipped_ticks = int(lateness_s * rate_hz)
             missed_ticks += skipped_ticks
-            deadline += skipped_ticks / rate_hz
+            deadline_s += skipped_ticks / rate_hz
         loop.run_tick()
         ticks += 1
-    run_time_s = time.monotonic() - start
+    run_time_s = time.monotonic() - start_s
     loop.close()
     return ticks / run_time_s, missed_ticks / ticks, lateness_ns

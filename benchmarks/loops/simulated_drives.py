@@ -1,8 +1,8 @@
 """Simulate drives and load cells at rest.
 
 The nodes send stored replies. In a stored reply of a drive, only the reported torque changes: it is
-the torque of the preceding command. Tendons and digits do not move. The drives are Damiao motors in
-MIT mode.
+the torque of the preceding command. The simulated tendons and digits do not move. The drives are
+Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
 when the drives are ready.
@@ -86,9 +86,9 @@ class CommandBatch:
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    A reply that was computed once is not computed again. Only the reported torque of a drive
-    follows the commands. If the reported torque were constant, the controller would report
-    that the drive does not obey (fault N14).
+    Each reply is computed once and then stored. In a stored reply of a drive, only the reported
+    torque changes: it is the torque of the preceding command. If the reported torque were constant,
+    the controller would report that the drive does not obey (fault N14).
 
     A control loop can send all commands of a tick as one batch. The replies to a batch are sent
     together, because drives on a real bus compute their replies at the same time.
@@ -167,8 +167,7 @@ class CachedReplies:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
         If the tendons were slack, the controller would turn the motors to take up the slack. The
-        controller would then report a fault, because the tensions of simulated drives at rest do
-        not rise.
+        tensions of simulated drives at rest do not rise, so the controller would report a fault.
         """
         plant = self.rig.world.plant
         index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)

@@ -97,8 +97,10 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 class ReceiverStruct(ctypes.Structure):
     """Entry for a node that receives frames with a certain identifier.
 
-    The fields are the kind of the node, the node's row in the array for this kind, and the index of
-    the next receiver or -1.
+    Attributes:
+        kind: kind of the node.
+        number: row of the node in the array for this kind.
+        next: index of the next receiver of the same frame, or -1.
     """
 
     _fields_ = [(name, ctypes.c_int64) for name in ("kind", "number", "next")]

@@ -257,8 +257,8 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:
 
 def ignore_unit_writes(node: Any) -> None:
     """Make an amplifier confirm each command that sets its unit of measurement, but keep the old unit."""
-    write = node.objects.write
-    node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
+    original_write = node.objects.write
+    node.objects.write = lambda key, raw: None if key == (0x6131, 2) else original_write(key, raw)
 
 
 def identify_as_drive(node: Any) -> None:
@@ -267,8 +267,8 @@ def identify_as_drive(node: Any) -> None:
 
 def ignore_transmission_type(node: Any) -> None:
     """Make an amplifier keep its transmission type when the host sets the type to synchronous."""
-    write = node.objects.write
-    node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
+    original_write = node.objects.write
+    node.objects.write = lambda key, raw: None if key == (0x1800, 2) else original_write(key, raw)
 
 
 WRONG_OBJECTS: dict[str, tuple[Callable[[Any], None], str]] = {

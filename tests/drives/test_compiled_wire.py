@@ -157,8 +157,8 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
     In the returned state, the next read-back of a drive setting is already due.
     """
     protocol_state = state.protocol_state
-    clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
-    times = {name: t_ns for name in clocks if name in protocol_state._fields}
+    time_fields = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
+    times = {name: t_ns for name in time_fields if name in protocol_state._fields}
     recheck = readback.first_recheck(node_id, t_ns - readback.RECHECK_PERIOD_NS)
     return state._replace(
         feedback_t_ns=t_ns, recheck=recheck, protocol_state=protocol_state._replace(**times)
@@ -168,7 +168,8 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
     """Return several copies of the correct reply to a request for a drive setting.
 
-    A test picks frames at random. With several copies, the test often picks the correct reply.
+    A test picks a frame at random from many frames. With 20 copies, the test often picks the
+    correct reply.
     """
     if not (state.recheck.is_waiting and drive.rechecks):
         return []

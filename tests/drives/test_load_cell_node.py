@@ -326,9 +326,9 @@ def test_a_flipped_bit_is_no_tension(firmware_library: Any, seed: int) -> None:
     chance = random.Random(seed)
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([chance.uniform(0.0, 200.0) for _ in range(4)])
-    at, bit = chance.randrange(17), chance.randrange(8)
+    byte_index, bit = chance.randrange(17), chance.randrange(8)
     bench.chips[0].corrupt_reply = lambda data: bytes(
-        b ^ (1 << bit if i == at else 0) for i, b in enumerate(data)
+        b ^ (1 << bit if i == byte_index else 0) for i, b in enumerate(data)
     )
     assert bench.tension_codes() == [RAIL_CODE] * 4
 

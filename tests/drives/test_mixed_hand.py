@@ -216,8 +216,8 @@ def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
 ) -> None:
     """A CubeMars motor replies with its node number as the identifier.
 
-    In each case of this test, another motor or the SYNC frame already has the identifier of the
-    reply.
+    In each case of this test, the identifier of the reply is also an identifier of another motor or
+    of the SYNC frame.
     """
     sensors = make_sensors(load_hand("jamia"))
     first_drive = make_drive(

@@ -150,21 +150,23 @@ def test_a_configuration_is_restored_and_survives_a_reboot_if_it_was_saved(
 ) -> None:
     values = {path: value for path, (_, _, _, value) in ENDPOINT_BY_PATH.items()}
     (tmp_path / "config.json").write_text(json.dumps(values))
-    words = ["--endpoints-json", "flat_endpoints.json", "--config", "config.json"]
+    arguments = ["--endpoints-json", "flat_endpoints.json", "--config", "config.json"]
     with (
         run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{ODRIVE_NODE_ID}"),
         can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,
     ):
-        done = run_script("can_restore_config.py", *words, *(["--save-config"] if is_saved else []))
-        assert done.returncode == 0, done.stderr
-        assert f"writing {len(values)} variables" in done.stdout
+        script_result = run_script(
+            "can_restore_config.py", *arguments, *(["--save-config"] if is_saved else [])
+        )
+        assert script_result.returncode == 0, script_result.stderr
+        assert f"writing {len(values)} variables" in script_result.stdout
         _send(bus, 0x16, b"\0")  # a reboot of the drive that saves no settings
         time.sleep(0.2)
-        read = {
+        stored_values = {
             path: _read_endpoint(bus, ENDPOINT_NUMBERS[option], code)
             for path, (option, _, code, _) in ENDPOINT_BY_PATH.items()
         }
-    assert (read == values) is is_saved, read
+    assert (stored_values == values) is is_saved, stored_values
 
 
 def test_the_endpoints_of_another_firmware_are_refused(
@@ -172,11 +174,11 @@ def test_the_endpoints_of_another_firmware_are_refused(
 ) -> None:
     (tmp_path / "other.json").write_text(json.dumps(_endpoints_file("0.6.9")))
     (tmp_path / "config.json").write_text("{}")
-    words = ["--endpoints-json", "other.json", "--config", "config.json"]
+    arguments = ["--endpoints-json", "other.json", "--config", "config.json"]
     with run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "odrive", "--ids", f"0,{ODRIVE_NODE_ID}"):
-        done = run_script("can_restore_config.py", *words)
-    assert done.returncode == 1
-    assert "0.6.9 != 0.6.10" in done.stderr
+        script_result = run_script("can_restore_config.py", *arguments)
+    assert script_result.returncode == 1
+    assert "0.6.9 != 0.6.10" in script_result.stderr
 
 
 @pytest.mark.parametrize("is_saved", [False, True], ids=["in RAM", "saved"])
@@ -189,9 +191,9 @@ def test_a_drive_enters_closed_loop_after_the_calibration(
         can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,
     ):
         assert _request_state(bus, CLOSED_LOOP_STATE) == IDLE_STATE
-        done = run_script("can_calibrate.py", *(["--save-config"] if is_saved else []))
-        assert done.returncode == 0, done.stderr
-        assert "Calibration successful!" in done.stdout
+        script_result = run_script("can_calibrate.py", *(["--save-config"] if is_saved else []))
+        assert script_result.returncode == 0, script_result.stderr
+        assert "Calibration successful!" in script_result.stdout
         assert _request_state(bus, CLOSED_LOOP_STATE) == CLOSED_LOOP_STATE
         assert _request_state(bus, IDLE_STATE) == IDLE_STATE
         _send(bus, 0x16, b"\0")

@@ -46,7 +46,8 @@ def run_drive_with_registers(
 ):
     """Run a drive whose motor replies to torque commands and register requests.
 
-    Return the final state of the drive, and the tick and the register of each register request.
+    Return the final state of the drive, and all register requests. A register request is given by
+    its tick and its register.
     """
     requests = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
@@ -130,8 +131,8 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         end_s = hand_run.k * hand_run.period_ns * 1e-9 + 1.01
         assert hand_run.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert hand_run.k * hand_run.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
-        assert latched == {("N12", hand.motor[seed % 4].name)}
+        latched_faults = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
+        assert latched_faults == {("N12", hand.motor[seed % 4].name)}
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)

@@ -1,8 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
 On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus without
-a request to the sensor node, the host sends a SYNC frame on behalf of one drive. On each bus, the
-code of one drive sends the heartbeat of the host.
+such a request, one drive object of the host sends a SYNC frame for all drives. On each bus, one
+drive object also sends the heartbeat of the host.
 """
 
 import tomllib
@@ -62,12 +62,12 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
         homed_controller(model, LiveProgram())
     ) as run:
         assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
-        sent = [
+        buses_and_lengths = [
             (frame.bus, len(frame.data))
             for frame in run.last_output.frames
             if frame.can_id == SYNC_ID
         ]
-        assert sent == [(0, 1), (1, 0)], (
+        assert buses_and_lengths == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )
 

@@ -54,7 +54,7 @@ class VirtualBench:
     def wait(self, k):
         """Advance the virtual time to tick ``k``, and return how late the host is [ns].
 
-        The host is late only if a call of ``advance_time`` has already passed the time of tick
+        The host is late only if ``advance_time`` has already moved the virtual time beyond tick
         ``k``.
         """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)

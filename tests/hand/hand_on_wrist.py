@@ -31,11 +31,11 @@ def mount_on_wrist(hand_name: str, moment_arm_m: float = WRIST_MOMENT_ARM_M) -> 
     for digit in content["digit"]:
         digit["mount_on"] = "wrist"
         digit["mount_position_m"][0] += 0.05
-        side = 1.0 if abs(digit["mount_rpy_deg"][0]) > 90.0 else -1.0
+        flexion_sign = 1.0 if abs(digit["mount_rpy_deg"][0]) > 90.0 else -1.0
         for tendon in content["tendon"]:
             moved_digits = {joint.rpartition("_j")[0] for joint in tendon["moment_arm_m"]}
             if moment_arm_m and digit["name"] in moved_digits:
-                tendon["moment_arm_m"]["wrist_j1"] = side * moment_arm_m
+                tendon["moment_arm_m"]["wrist_j1"] = flexion_sign * moment_arm_m
     wrist = {
         "name": "wrist",
         "mount_position_m": [-0.05, 0.0, 0.0],

@@ -51,15 +51,19 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
     for digit in digits:
         joints = [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
         types = digit.get("joint_type", ["revolute"] * len(joints))
-        sliding = {joint for joint, kind in zip(joints, types, strict=True) if kind == "prismatic"}
+        prismatic_joints = {
+            joint for joint, kind in zip(joints, types, strict=True) if kind == "prismatic"
+        }
         for i, name in enumerate(joints):
             number = len(tendons)
             arms = {joint: float(rng.uniform(0.002, 0.006)) for joint in joints[: i + 1]}
-            ratios = {joint: 200.0 * arms.pop(joint) for joint in sliding & arms.keys()}
+            excursion_ratios = {
+                joint: 200.0 * arms.pop(joint) for joint in prismatic_joints & arms.keys()
+            }
             tendons.append(
                 content["tendon"][0]
                 | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms}
-                | ({"excursion_ratio": ratios} if ratios else {})
+                | ({"excursion_ratio": excursion_ratios} if excursion_ratios else {})
             )
             motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
     gravity = rng.normal(size=3)
@@ -131,11 +135,11 @@ def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[s
         "spring_stiffness_N_m_per_rad": ("spring_stiffness_N_per_m", 100.0, 500.0),
         "spring_preload_rad": ("spring_preload_m", 0.06, 0.1),
     }
-    for key, (sliding, low, high) in values.items():
+    for key, (prismatic_key, low, high) in values.items():
         digit[key] = [
             value for value, slide in zip(digit[key], is_prismatic, strict=True) if not slide
         ]
-        digit[sliding] = random_source.uniform(low, high, int(is_prismatic.sum())).tolist()
-        for name in (key, sliding):
+        digit[prismatic_key] = random_source.uniform(low, high, int(is_prismatic.sum())).tolist()
+        for name in (key, prismatic_key):
             if not digit[name]:
                 del digit[name]

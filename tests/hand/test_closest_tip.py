@@ -98,11 +98,13 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
 def test_a_path_of_points_gives_postures_without_jumps() -> None:
     digit = palm_digits("jamia11")[0]
     low, high = digit.coordinate_limits
-    rows = np.linspace(low, 0.9 * high, 200)
-    theta = closest_tip(digit, tip_position(digit, rows[0])).coordinates
+    joint_angles_of_path = np.linspace(low, 0.9 * high, 200)
+    theta = closest_tip(digit, tip_position(digit, joint_angles_of_path[0])).coordinates
     trajectory = [theta]
-    for row in rows[1:]:
-        trajectory.append(closest_tip(digit, tip_position(digit, row), trajectory[-1]).coordinates)
+    for joint_angles in joint_angles_of_path[1:]:
+        trajectory.append(
+            closest_tip(digit, tip_position(digit, joint_angles), trajectory[-1]).coordinates
+        )
     assert np.degrees(np.abs(np.diff(trajectory, axis=0))).max() < 3.0
 
 

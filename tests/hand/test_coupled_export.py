@@ -39,9 +39,11 @@ def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     data.ctrl[outer_actuator] = 2.0
     for _ in range(400):
         mujoco.mj_step(model, data)
-    turned = data.qpos[[model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]]
-    assert turned[0] > 0.2
-    assert turned[1] == pytest.approx(turned[0], abs=0.02)
+    coupled_joint_angles = data.qpos[
+        [model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]
+    ]
+    assert coupled_joint_angles[0] > 0.2
+    assert coupled_joint_angles[1] == pytest.approx(coupled_joint_angles[0], abs=0.02)
     # A motor that drives two antagonistic tendons pulls in both directions.
     assert np.array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
 

@@ -16,10 +16,7 @@ JAMIA_HAND_CONTENT = hand_content("jamia")
 
 @pytest.fixture
 def refusal_of_edit(refusal):
-    """Return a function that applies a wrong change to the packaged hand.
-
-    The returned function returns the error message of the wrong change.
-    """
+    """Return a function that makes a wrong change in the hand file of jamia, and returns the error message."""
 
     def refusal_line(content_edit):
         content = copy.deepcopy(JAMIA_HAND_CONTENT)
@@ -68,7 +65,7 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(
 def test_entries_that_are_refused_cause_no_further_message():
     """Reproduce a defect: two wrong values in a list caused three error messages.
 
-    The third error message demanded at least 1 value.
+    The superfluous third message demanded a list with at least 1 value.
     """
     content = copy.deepcopy(JAMIA_HAND_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]

@@ -21,7 +21,7 @@ class ExampleMoveStep(Document):
 
 
 class ExampleHoldStep(Document):
-    """Step of an example plan: a hold with a tension, and possibly a further step."""
+    """Step of an example plan: a hold with a tension, and an optional spare move."""
 
     kind: Literal["hold"]
     tension_N: float

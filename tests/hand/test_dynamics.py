@@ -122,8 +122,8 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity_m_s2):
         assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), data.qfrc_inverse)
         mujoco.mj_fullM(model, data, mass_matrix)
         for digit in digits:
-            block = mass_matrix[digit.joints, digit.joints]
-            assert arrays_agree(dynamics.mass_matrix(digit, q[digit.joints]), block)
+            mass_matrix_of_digit = mass_matrix[digit.joints, digit.joints]
+            assert arrays_agree(dynamics.mass_matrix(digit, q[digit.joints]), mass_matrix_of_digit)
 
 
 def inverse_dynamics_of_hand(digits, q, dq, ddq):

@@ -180,9 +180,9 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
 
 def test_inverse_near_the_edge_of_reach(digits):
     for digit in digits:
-        reach = sum(digit.lengths)
-        assert np.allclose(inverse_kinematics(digit, reach, 0.0, 0.0), 0.0, atol=1e-6)
-        assert inverse_kinematics(digit, reach + 1e-6, 0.0, 0.0) == ()
+        max_reach = sum(digit.lengths)
+        assert np.allclose(inverse_kinematics(digit, max_reach, 0.0, 0.0), 0.0, atol=1e-6)
+        assert inverse_kinematics(digit, max_reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
             x, y, angle = planar_tip_pose(digit, q)
@@ -212,11 +212,11 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            coordinate, gap = inverse_kinematics_coupled(
+            coordinate, distance = inverse_kinematics_coupled(
                 digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1]
             )
             assert abs(coordinate - theta) < 1e-7
-            assert gap < 1e-9
+            assert distance < 1e-9
 
 
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
@@ -226,9 +226,9 @@ def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
         [joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in coordinate_grid]
     )
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
-        _, gap = inverse_kinematics_coupled(digit, target)
+        _, distance = inverse_kinematics_coupled(digit, target)
         nearest = np.linalg.norm(curve - target, axis=1).min()
-        assert nearest - 1e-6 < gap < nearest + 1e-12
+        assert nearest - 1e-6 < distance < nearest + 1e-12
 
 
 def test_coordinate_limits_respect_the_tightest_joint():

@@ -108,16 +108,16 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
 def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> None:
     angle = np.linspace(0.0, 90.0, 10)
     cubic_coefficients = np.array([0.003, 1e-3, -4e-4, 1e-4])
-    arm = {
+    moment_arm_table = {
         "angle_deg": angle.tolist(),
         "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic_coefficients).tolist(),
     }
     np.testing.assert_allclose(
-        moment_arm_polynomial(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12
+        moment_arm_polynomial(moment_arm_table), [*cubic_coefficients, 0.0, 0.0], atol=1e-12
     )
-    assert moment_arm_table_residual(arm) < 1e-12
-    arm["arm_m"][4] += 1e-4
-    assert 2e-5 < moment_arm_table_residual(arm) < 1e-4
+    assert moment_arm_table_residual(moment_arm_table) < 1e-12
+    moment_arm_table["arm_m"][4] += 1e-4
+    assert 2e-5 < moment_arm_table_residual(moment_arm_table) < 1e-4
     assert (
         moment_arm_polynomial({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4
@@ -174,9 +174,9 @@ MOMENT_ARM_MISTAKES = {
 
 @pytest.mark.parametrize("mistake_name", MOMENT_ARM_MISTAKES)
 def test_a_mistake_in_a_moment_arm_is_one_line(mistake_name: str) -> None:
-    arm, text = MOMENT_ARM_MISTAKES[mistake_name]
+    wrong_moment_arm, text = MOMENT_ARM_MISTAKES[mistake_name]
     content = hand_with_varying_arms("jamia", 0.0, "content")
-    content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
+    content["tendon"][0]["moment_arm_m"]["index_j1"] = wrong_moment_arm
     with pytest.raises(ConfigError) as caught:
         hand_from_content(content, "hand.toml")
     line = str(caught.value)

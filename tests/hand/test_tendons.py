@@ -32,19 +32,19 @@ for_each_elasticity = pytest.mark.parametrize(
 
 @for_each_elasticity
 def test_the_knee_is_smooth(law):
-    at = law.knee / law.stiffness
+    knee_stretch = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
         assert math.isclose(
-            law.elastic_tension(at - h),
-            law.elastic_tension(at + h),
+            law.elastic_tension(knee_stretch - h),
+            law.elastic_tension(knee_stretch + h),
             abs_tol=2.1 * h * law.stiffness,
         )
         assert math.isclose(
-            law.tangent_stiffness(at - h),
-            law.tangent_stiffness(at + h),
+            law.tangent_stiffness(knee_stretch - h),
+            law.tangent_stiffness(knee_stretch + h),
             rel_tol=1.1 * h / law.knee_width * 4,
         )
-    assert math.isclose(law.elastic_tension(at), law.knee, rel_tol=1e-12)
+    assert math.isclose(law.elastic_tension(knee_stretch), law.knee, rel_tol=1e-12)
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond_knee, rel_tol=1e-9)
 
 
@@ -176,10 +176,10 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 
 
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
-    """With one tendon per joint and the moment arm r at every joint, the moment arms are R = r S.
+    """Check the tensions of a digit with one tendon per joint and the moment arm r at every joint.
 
-    S is the lower triangular matrix of ones. With R = r S, a tendon tension times r is the torque
-    of one joint minus the torque of the next joint.
+    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones.
+    Therefore a tension times r equals the torque of one joint minus the torque of the next joint.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

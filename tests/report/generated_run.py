@@ -25,7 +25,7 @@ class GeneratedRunLog:
     """
 
     def __init__(self, hand: Hand, tick_count: int, phase_by_tick: dict[int, str]) -> None:
-        sizes = {
+        size_by_axis = {
             "joint": len(hand.joints),
             "tendon": len(hand.tendon),
             "motor": len(hand.motor),
@@ -38,7 +38,7 @@ class GeneratedRunLog:
         self.late_ns = np.zeros(tick_count, np.int64)
         self.mode = np.full(tick_count, int(HandMode.ACTIVE), np.uint8)
         self.fields = {
-            name: np.full((tick_count, sizes[axis]), np.nan)
+            name: np.full((tick_count, size_by_axis[axis]), np.nan)
             for name, axis in TELEMETRY_AXES.items()
         }
         self.fields["contact"][:] = 0.0
@@ -61,9 +61,9 @@ class GeneratedRunLog:
 
 
 def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record whose values are zero, with one row for each tick.
+    """Create a truth record whose values are zero, with one row per control period.
 
-    The truth record begins two rows before the run, and ends two rows after the run.
+    Two rows precede tick 0 of the run, and two rows follow the last tick of the run.
     """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
@@ -85,10 +85,10 @@ def set_truth_column(truth: TruthRecord, column_name: str, values: np.ndarray | 
 
 def write_truth(truth_file: Path, truth: TruthRecord) -> None:
     """Write a truth record to a file, in the format of a simulator."""
-    rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
-    rows["t_ns"], rows["v"] = truth.t_ns, truth.values
+    truth_rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
+    truth_rows["t_ns"], truth_rows["v"] = truth.t_ns, truth.values
     truth_file.write_bytes(
-        json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes()
+        json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + truth_rows.tobytes()
     )
 
 

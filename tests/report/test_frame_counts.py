@@ -42,10 +42,16 @@ def ticks_without_frame(
     """Remove the first load-cell frame of one tick. Return the changed ticks of the log and the removed frame."""
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[tick_index].tick_in
-    [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
-    remaining_frames = tuple(frame for frame in entry.frames if frame != lost)
-    changed = golden_ticks[tick_index]._replace(tick_in=entry._replace(frames=remaining_frames))
-    return [*golden_ticks[:tick_index], changed, *golden_ticks[tick_index + 1 :]], lost
+    [removed_frame] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
+    remaining_frames = tuple(frame for frame in entry.frames if frame != removed_frame)
+    changed_tick = golden_ticks[tick_index]._replace(
+        tick_in=entry._replace(frames=remaining_frames)
+    )
+    return [
+        *golden_ticks[:tick_index],
+        changed_tick,
+        *golden_ticks[tick_index + 1 :],
+    ], removed_frame
 
 
 def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[TickRecord]) -> None:
@@ -53,8 +59,8 @@ def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[T
 
 
 def test_a_frame_that_never_comes_is_lost(golden_ticks: list[TickRecord]) -> None:
-    for at in (300, 310, 320):
-        golden_ticks, _ = ticks_without_frame(golden_ticks, at)
+    for tick_index in (300, 310, 320):
+        golden_ticks, _ = ticks_without_frame(golden_ticks, tick_index)
     assert count_frames(golden_ticks) == (0, 3, 0)
 
 

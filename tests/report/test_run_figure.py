@@ -50,7 +50,7 @@ def test_a_png_is_written(
     )  # type: ignore[arg-type]
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG")
-    width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    width, height = (int.from_bytes(content[offset : offset + 4], "big") for offset in (16, 20))
     assert width > 800
     assert height > 600
 
@@ -129,8 +129,8 @@ def test_every_unit_of_the_digits_is_named(
 ) -> None:
     """Reproduce a defect: the axis for the joint angle of a finger had no label.
 
-    The axis for the joint position of a jaw had a label with the unit mm. Therefore the angle of
-    the finger seemed to be in mm, too.
+    In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had a
+    label. The label contained the unit mm, so the angle of the finger seemed to be in mm, too.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})

@@ -166,11 +166,10 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     )
     log_with_two_holds.fields["contact"][:, 0] = 1.0
     log_with_two_holds.fields["tension_goal"][:] = 9.0
-    windows = [
-        np.flatnonzero(window).tolist()
-        for window in hold_phase_masks(log_with_two_holds, JAMIA_HAND)
+    ticks_of_holds = [
+        np.flatnonzero(mask).tolist() for mask in hold_phase_masks(log_with_two_holds, JAMIA_HAND)
     ]
-    assert windows == [list(range(50, 150)), list(range(250, 400))]
+    assert ticks_of_holds == [list(range(50, 150)), list(range(250, 400))]
 
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:

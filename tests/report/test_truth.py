@@ -55,13 +55,13 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
     path = tmp_path / "t.truth"
     write_truth(path, truth_record)
     complete_content = path.read_bytes()
-    head = complete_content.index(b"\n") + 1
-    for cut in range(len(complete_content)):
-        path.write_bytes(complete_content[:cut])
-        rows = max(0, cut - head) // 32
-        if rows:
+    header_size = complete_content.index(b"\n") + 1
+    for file_size in range(len(complete_content)):
+        path.write_bytes(complete_content[:file_size])
+        row_count = max(0, file_size - header_size) // 32
+        if row_count:
             truth = read_truth(path)
-            np.testing.assert_array_equal(truth.values, truth_record.values[:rows])
+            np.testing.assert_array_equal(truth.values, truth_record.values[:row_count])
         else:
             with pytest.raises(LogError) as caught:
                 read_truth(path)

@@ -51,9 +51,9 @@ def recording_path(log_path: Path) -> Path:
     """Convert the log `log_path` to a Rerun recording, and return the path of the recording."""
     from rrd_entities import run_info_of
 
-    out = log_path.with_suffix(".rrd")
-    write_rrd(log_path, run_info_of(log_path), out)
-    return out
+    rrd_path = log_path.with_suffix(".rrd")
+    write_rrd(log_path, run_info_of(log_path), rrd_path)
+    return rrd_path
 
 
 @pytest.fixture(scope="session")

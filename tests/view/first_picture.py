@@ -1,7 +1,7 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
-The measurement begins with the start of the process. The measurement ends when a viewer without a
-screen has drawn a picture with data. The program prints the measured time as JSON. The JSON output
+The measured time begins with the start of this process, and ends when a viewer without a screen has
+drawn a picture with data. The program prints the measured time as JSON. The JSON output
 also contains the CPU times of handctl and of the viewer until the first picture.
 """
 
@@ -38,9 +38,9 @@ def main() -> None:
 
 
 def _time_first_picture(data_received: threading.Event) -> None:
-    """Wait until the viewer of the present process has received data.
+    """Measure the time until the viewer of the present process has drawn a picture with data.
 
-    When data have arrived, save a picture, print the times, and close the viewer.
+    Print this time [s], the CPU times [s] and the size of the picture [bytes], and close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)

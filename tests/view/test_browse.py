@@ -33,17 +33,17 @@ pytestmark = pytest.mark.timeout(120)
 def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     with RunLog(GOLDEN_LOG) as log:
         ticks, run = len(log), RunInfo.from_header(log.header, "x")
-    sizes, since = [], []
+    sizes, start_times_ns = [], []
     for slice_path, since_ns in time_slices(
         GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000
     ):
         with RunLog(slice_path) as log:
             sizes.append(len(log))
-            since.append(since_ns)
+            start_times_ns.append(since_ns)
     assert sizes[0] in (200, 201), "up to the end of a chunk"
     assert sum(sizes) == ticks
-    assert since[0] == 0
-    assert 1_000_000_000 <= since[1] < 1_250_000_000
+    assert start_times_ns[0] == 0
+    assert 1_000_000_000 <= start_times_ns[1] < 1_250_000_000
     late: list[int] = []
     for chunk in chunks_of_run(GOLDEN_LOG, run, 1_000_000_000):
         if chunk.entity_path == "/loop/late" and RUN_TIME_TIMELINE in chunk.timeline_names:
@@ -98,12 +98,18 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
         str(Path(__file__).with_name("first_picture.py")),
         str(tmp_path / "ten.mcap"),
     ]
-    looks = []
+    measurements = []
     for _ in range(3):  # the first execution of the view is slower
         result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
-        looks.append(json.loads(result.stdout))
-    assert all(sample["png_bytes"] > 50_000 for sample in looks)
-    assert min(sample["handctl_cpu_s"] + sample["viewer_cpu_s"] for sample in looks) < 5.0
+        measurements.append(json.loads(result.stdout))
+    assert all(measurement["png_bytes"] > 50_000 for measurement in measurements)
+    assert (
+        min(
+            measurement["handctl_cpu_s"] + measurement["viewer_cpu_s"]
+            for measurement in measurements
+        )
+        < 5.0
+    )
 
 
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(

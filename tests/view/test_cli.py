@@ -22,19 +22,19 @@ def error_line(capsys: pytest.CaptureFixture[str]) -> str:
 def test_save_writes_a_recording_and_reports_it(
     jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "run.rrd"
-    assert main(["view", str(jamia_log_path), "--save", str(out), "--json"]) == 0
+    recording_path = tmp_path / "run.rrd"
+    assert main(["view", str(jamia_log_path), "--save", str(recording_path), "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
-    assert (output["rrd"], output["bytes"]) == (str(out), out.stat().st_size)
-    assert out.read_bytes()[:4] == b"RRF2"
+    assert (output["rrd"], output["bytes"]) == (str(recording_path), recording_path.stat().st_size)
+    assert recording_path.read_bytes()[:4] == b"RRF2"
 
 
 def test_a_cut_log_is_shown_with_a_warning(
     jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_log_path.read_bytes()[:300_000])
-    assert main(["view", str(cut), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
+    cut_log_path = tmp_path / "cut.mcap"
+    cut_log_path.write_bytes(jamia_log_path.read_bytes()[:300_000])
+    assert main(["view", str(cut_log_path), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
     output = capsys.readouterr()
     assert "without an end mark" in json.loads(output.out)["warning"]
     assert len(output.err.splitlines()) == 1

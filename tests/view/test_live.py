@@ -25,8 +25,8 @@ VIEWER_TIMEOUT_S = 40.0
 
 def viewer_url(live_view_process: "subprocess.Popen[bytes]") -> str:
     """Return the address of the viewer that a process of the live view has started."""
-    end = time.monotonic() + VIEWER_TIMEOUT_S
-    while time.monotonic() < end:
+    deadline_s = time.monotonic() + VIEWER_TIMEOUT_S
+    while time.monotonic() < deadline_s:
         assert live_view_process.poll() is None, (
             f"the follower ended with {live_view_process.returncode}"
         )
@@ -45,8 +45,8 @@ def latest_received_ns(client: "ViewerClient") -> int:
 
 
 def wait_for_time(client: "ViewerClient", t_ns: int) -> int:
-    end = time.monotonic() + VIEWER_TIMEOUT_S
-    while latest_received_ns(client) < t_ns and time.monotonic() < end:
+    deadline_s = time.monotonic() + VIEWER_TIMEOUT_S
+    while latest_received_ns(client) < t_ns and time.monotonic() < deadline_s:
         time.sleep(0.1)
     return latest_received_ns(client)
 

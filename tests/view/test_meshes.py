@@ -47,9 +47,9 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def recorded_entities(mesh_log: Path) -> dict[str, RecordingEntity]:
-    out = mesh_log.with_suffix(".rrd")
-    write_rrd(mesh_log, run_info_of(mesh_log), out)
-    return entities_of_file(out)
+    recording_path = mesh_log.with_suffix(".rrd")
+    write_rrd(mesh_log, run_info_of(mesh_log), recording_path)
+    return entities_of_file(recording_path)
 
 
 def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
@@ -119,12 +119,12 @@ def test_the_live_view_sends_the_same_meshes(
 def test_a_log_without_its_meshes_shows_capsules_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, out = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    log, recording_path = tmp_path / "run.mcap", tmp_path / "run.rrd"
     synthetic_run.write_synthetic_run(log, synthetic_run.synthetic_header("t42", 100), 0.3)
-    assert main(["view", str(log), "--save", str(out)]) == 0
+    assert main(["view", str(log), "--save", str(recording_path)]) == 0
     text = "capsules are drawn for palm, left_link1 and 3 more: the log does not have the meshes"
     assert f"handctl: caution: {log}: {text}\n" in capsys.readouterr().err
-    paths = entities_of_file(out)
+    paths = entities_of_file(recording_path)
     assert "/hand/left_link1/visual_0" in paths
     assert not [path for path in paths if path.endswith("/mesh")]
 

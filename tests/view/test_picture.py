@@ -46,12 +46,12 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     vulkan_environment: dict[str, str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    out = tmp_path / "run.png"
-    assert main(["view", str(jamia_log_path), "--picture", str(out), "--json"]) == 0
+    picture_path = tmp_path / "run.png"
+    assert main(["view", str(jamia_log_path), "--picture", str(picture_path), "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     assert output["reports"] == []
     assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
-    image = pixels_of_png(out.read_bytes())
+    image = pixels_of_png(picture_path.read_bytes())
     assert image.shape == (900, 1600, 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
@@ -88,8 +88,8 @@ def test_a_bare_log_opens_with_a_hand_that_moves(
         time.sleep(0.7)
         screenshots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
     assert problem_reports_of_view(client) == []
-    moved = (np.abs(screenshots[0] - screenshots[1]).max(axis=2) > 30).mean()
-    assert 0.005 < moved < 0.5
+    changed_pixel_fraction = (np.abs(screenshots[0] - screenshots[1]).max(axis=2) > 30).mean()
+    assert 0.005 < changed_pixel_fraction < 0.5
     assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
 
 
@@ -106,11 +106,10 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """In this test, another program still sends data to an earlier viewer.
+    """Reproduce a defect: a new viewer showed the data of another program instead of its own views.
 
-    A new viewer must not show the data of the other program.
-
-    Earlier defect: the new viewer showed the data of the other program instead of its own views.
+    Another program can still send data to the default port of Rerun. For this reason, the new viewer
+    must use another port.
     """
     running, client = viewer_without_layout
     assert not running.url.endswith(":9876/proxy"), (
@@ -131,8 +130,8 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
             "", store, [shown_recording], [View("1", "3D", "hand", "/", True, [])], [], None, None
         )
 
-    def line(end: int | None) -> Timeline:
-        return Timeline("run_time", "duration", 0, end)
+    def line(end_ns: int | None) -> Timeline:
+        return Timeline("run_time", "duration", 0, end_ns)
 
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
     remaining_states = iter(

@@ -47,9 +47,9 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     for size in growing_file_sizes(whole_content, seed):
         path.write_bytes(whole_content[:size])
         assert not (tail.has_log_ended and size < 0.9 * len(whole_content))
-        since = tail.write_new_chunks(new_chunks_path)
-        if since is not None:
-            chunks += chunks_of_log(new_chunks_path, converters, "part", since)
+        first_time_ns = tail.write_new_chunks(new_chunks_path)
+        if first_time_ns is not None:
+            chunks += chunks_of_log(new_chunks_path, converters, "part", first_time_ns)
             times += 1
     assert tail.has_log_ended
     assert tail.write_new_chunks(new_chunks_path) is None
@@ -76,8 +76,8 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_p
         tmp_path / "part.mcap",
     )
     tail, part_count = LogTail(path), 0
-    start = len(whole_content) // 2
-    for size in range(start, start + 60_000, 997):
+    first_size = len(whole_content) // 2
+    for size in range(first_size, first_size + 60_000, 997):
         path.write_bytes(whole_content[:size])
         part_count += tail.write_new_chunks(new_chunks_path) is not None
     assert part_count > 1

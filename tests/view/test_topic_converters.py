@@ -105,8 +105,8 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         np.testing.assert_allclose(
             vectors, force[:, None] * (0, -ARROW_LENGTH_M_PER_N, 0), atol=1e-7
         )
-        at = int(force.argmax())
-        assert entity.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
+        tick_index = int(force.argmax())
+        assert entity.rows["Arrows3D:labels"][tick_index] == [f"{force[tick_index]:.1f} N"]
         assert entity.static_values["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
@@ -163,26 +163,29 @@ def test_frames_put_the_fingertips_where_kinematics_does(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog, log_path: Path
 ) -> None:
     edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
-    now = int(run_log.t_ns[-1] * 0.5)
+    time_ns = int(run_log.t_ns[-1] * 0.5)
     for entity in (recorded_entities["/tf_static"], recorded_entities["/tf"]):
-        rows = {name.split(":")[1]: values for name, values in entity.rows.items()}
-        for i in np.flatnonzero(entity.times <= now):
-            child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
+        values_by_component = {name.split(":")[1]: values for name, values in entity.rows.items()}
+        for i in np.flatnonzero(entity.times <= time_ns):
+            child, parent = (
+                values_by_component["child_frame"][i][0],
+                values_by_component["parent_frame"][i][0],
+            )
             edges[child] = (
                 parent,
-                np.array(rows["translation"][i][0]),
-                np.array(rows["quaternion"][i][0]),
+                np.array(values_by_component["translation"][i][0]),
+                np.array(values_by_component["quaternion"][i][0]),
             )
-    at = int(
+    tick_index = int(
         np.searchsorted(
             run_log.t_ns,
-            recorded_entities["/tf"].times[recorded_entities["/tf"].times <= now].max(),
+            recorded_entities["/tf"].times[recorded_entities["/tf"].times <= time_ns].max(),
         )
     )
     hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
         tip = link_transforms(
-            DigitModel.from_hand(hand, digit.name), run_log.field("q")[at, joints]
+            DigitModel.from_hand(hand, digit.name), run_log.field("q")[tick_index, joints]
         )[-1]
         np.testing.assert_allclose(_frame_position(edges, tip.frame), tip.position, atol=1e-7)
 
@@ -207,13 +210,13 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
     robot = ET.fromstring(run_log.header.attachments["hand.urdf"])
-    visuals = {
+    visual_paths = {
         f"/hand/{link.get('name')}/visual_{i}"
         for link in robot
         for i, _ in enumerate(link.iter("visual"))
     }
-    assert visuals == {path for path in recorded_entities if path.startswith("/hand/")}
-    for path in visuals:
+    assert visual_paths == {path for path in recorded_entities if path.startswith("/hand/")}
+    for path in visual_paths:
         static_values = recorded_entities[path].static_values
         (kind,) = {name.split(":")[0] for name in static_values} & {
             "Boxes3D",
@@ -250,19 +253,21 @@ def test_time_slices_do_not_change_the_recording(
 def test_a_log_that_ends_early_is_shown_up_to_there(
     log_fraction: float, jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(
+    cut_log_path = tmp_path / "cut.mcap"
+    cut_log_path.write_bytes(
         jamia_log_path.read_bytes()[: int(log_fraction * jamia_log_path.stat().st_size)]
     )
-    with RunLog(cut) as half:
-        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+    with RunLog(cut_log_path) as cut_log:
+        shown_entities = read_entities(
+            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+        )
         np.testing.assert_array_equal(
-            shown_entities["/controller/q"].table("Scalars:scalars"), half.field("q")
+            shown_entities["/controller/q"].table("Scalars:scalars"), cut_log.field("q")
         )
         assert (
             len(shown_entities["/loop/late"].times)
             == len(shown_entities["/bus/load"].times)
-            == len(half)
+            == len(cut_log)
             > 20
         )
 
@@ -273,12 +278,14 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     file, scan = LogFile(jamia_log_path), RecordScan()
     scan_records(file, scan)
     file.close()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
-    with RunLog(cut) as half:
-        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+    cut_log_path = tmp_path / "cut.mcap"
+    cut_log_path.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
+    with RunLog(cut_log_path) as cut_log:
+        shown_entities = read_entities(
+            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+        )
         assert (
-            half.t_ns[-1]
+            cut_log.t_ns[-1]
             == shown_entities["/loop/late"].times[-1]
             == shown_entities["/bus/load"].times[-1]
         )

@@ -88,11 +88,11 @@ def write_truth(truth_file: Path, truth: TruthRecord) -> None:
 def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
     jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, out = tmp_path / "some.truth", tmp_path / "run.rrd"
+    path, recording_path = tmp_path / "some.truth", tmp_path / "run.rrd"
     write_truth(path, make_truth_record(SCENE_SHAPES))
-    words = ["view", str(jamia_log_path), "--save", str(out), "--truth", str(path)]
-    assert main([*words, "--json"]) == 0
-    assert "/true/object" in entities_of_file(out)
+    arguments = ["view", str(jamia_log_path), "--save", str(recording_path), "--truth", str(path)]
+    assert main([*arguments, "--json"]) == 0
+    assert "/true/object" in entities_of_file(recording_path)
     capsys.readouterr()
     late_truth = make_truth_record(SCENE_SHAPES)
     write_truth(
@@ -101,5 +101,5 @@ def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
             late_truth.header, late_truth.t_ns + 10**12, late_truth.values, late_truth.columns
         ),
     )
-    assert main(words) == 2
+    assert main(arguments) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -90,7 +90,7 @@ def _clamp_to_range(value: int, limit: int) -> int:
 def update_measured_objects(
     node: Any, power: Any, angle: float, velocity: float, torque: float
 ) -> None:
-    """Update the objects of a drive with measured values.
+    """Write measured values to the object dictionary of a drive.
 
     Args:
         node: simulated drive, as an array row or as a Python object.

@@ -113,7 +113,7 @@ class MotionModes:
         return self._mode != 0
 
     def start(self, mode: int, t_ns: int) -> None:
-        """Enter a motion mode at the present position. A mode that is already active continues."""
+        """Enter a motion mode at the present position, unless the axis is already in this mode."""
         if mode == self._mode:
             return
         node = self._node

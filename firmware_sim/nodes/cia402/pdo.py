@@ -161,7 +161,7 @@ class NodePdos:
 
         The standard TPDO contains status word, position and torque. The standard TPDO is sent after
         SYNC, and is the only active TPDO. If the PDOs are arranged in another way, or if an RPDO
-        depends on SYNC, the identifier is -1.
+        depends on SYNC, the returned identifier is -1.
         """
         active = self._active_tpdos()
         waits_for_sync = any(

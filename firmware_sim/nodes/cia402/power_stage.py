@@ -53,8 +53,8 @@ class PowerStage:
     def command(self, control_word: int) -> None:
         """Apply a control word.
 
-        The bit fault reset acts on its rising edge. All other bits of the control word act by their
-        level.
+        The bit *fault reset* (bit 7) acts on its rising edge. All other bits of the control word
+        act by their level.
         """
         is_reset_edge = bool(control_word & 0x80) and not self.reset_bit
         self.reset_bit = bool(control_word & 0x80)

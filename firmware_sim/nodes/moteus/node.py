@@ -248,8 +248,8 @@ class MoteusNode:
     def _set_position(self, turns: float, to_nearest_turn: bool) -> None:
         """Shift the zero of the position, so that the drive reports a given value.
 
-        If ``to_nearest_turn`` is True, the shift is a whole number of turns. After a shift by whole
-        turns, the reported position is as near as possible to the value.
+        If ``to_nearest_turn`` is True, the shift is a whole number of turns. The reported position
+        then differs from ``turns`` by at most half a turn.
         """
         if math.isfinite(turns):
             shift = turns - self._position

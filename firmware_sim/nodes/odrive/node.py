@@ -404,7 +404,7 @@ class OdriveNode:
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
 
-        The active mode uses only the inputs that the mode needs.
+        A frame can contain inputs that the active control mode of the drive does not use.
         """
         if command == 0x0C:
             position, velocity, torque = struct.unpack("<fhh", data)
@@ -551,18 +551,18 @@ class OdriveNode:
         """Return the payload of a heartbeat."""
         if self.legacy:
             errors = sum(
-                legacy
-                for new_error, legacy in _LEGACY_ERRORS.items()
+                legacy_error
+                for new_error, legacy_error in _LEGACY_ERRORS.items()
                 if (self.active_errors | self.disarm_reason) & new_error
             )
-            done = self.motion.done << 7
+            trajectory_done_bit = self.motion.done << 7
             return struct.pack(
                 "<IBBBB",
                 errors,
                 self.state,
                 errors == _LEGACY_ERRORS[MOTOR_OVERHEATED_ERROR],
                 0,
-                done,
+                trajectory_done_bit,
             )
         errors = self.active_errors | self.disarm_reason
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)

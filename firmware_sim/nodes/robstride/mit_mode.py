@@ -204,8 +204,8 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace a stop command by a command with zero torque, so that the motor stays enabled."""
-    stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
-    return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
+    is_disable_command = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
+    return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if is_disable_command else frame
 
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:

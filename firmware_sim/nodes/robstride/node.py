@@ -143,8 +143,8 @@ class RobstrideNode:
         self.malformed_frame_count = 0
         self.wake_ns = 0
         self.watchdog_fed_ns = 0
-        model = str(spec.options.get("motor_type", DEFAULT_MOTOR_TYPE))
-        self._velocity, self._torque, self._kp, self._kd = FULL_SCALE_BY_MOTOR_TYPE[model]
+        motor_type = str(spec.options.get("motor_type", DEFAULT_MOTOR_TYPE))
+        self._velocity, self._torque, self._kp, self._kd = FULL_SCALE_BY_MOTOR_TYPE[motor_type]
         self._direction = spec.direction
         self._peak = spec.torque_peak
         self._torque_constant = spec.torque_constant

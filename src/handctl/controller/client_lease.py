@@ -1,10 +1,10 @@
 """Reaction to the loss of the client that commands a hand: first the digits come to rest, later the hand relaxes.
 
 A client sends no more goals if its program hangs or has been killed. Without a reaction, the last
-goal of a lost client would apply without a time limit. A client can have a lease. The client renews
-the lease by regular signs of life, which are short requests. Commands, signs of life and targets
-reach the tick as requests. A log contains all requests, so the leases are the same when a log is
-executed again.
+goal of a lost client would apply without a time limit. A client can have a lease, which limits the
+time for which the client may be silent. The client renews the lease by regular signs of life, which
+are short requests. Commands, signs of life and targets reach the tick as requests. A log contains
+all requests, so the leases are the same when a log is executed again.
 """
 
 from dataclasses import replace

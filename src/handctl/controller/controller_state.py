@@ -91,7 +91,7 @@ class ControllerDecisions(NamedTuple):
 
 
 def _serialized_part(state_part: object) -> bytes:
-    """Return the serialized form of a part of the decisions.
+    """Serialize one part of the decisions of the controller.
 
     While a digit closes, the progress of the program changes in every tick. The progress keeps
     references to the same goal objects, so the bytes of the goals are cached.
@@ -170,8 +170,8 @@ def drive_values(
 class ControllerState:
     """State of the controller between ticks.
 
-    A tick works on a copy of the state of the last tick. The copy has its own block of numbers. The
-    object with the decisions is immutable, so the state and its copy share the object.
+    A tick works on a copy of the state of the last tick. The copied state has its own block of
+    numbers. The object with the decisions is immutable, so both states share this object.
 
     Attributes:
         layout: layout of the state block.

@@ -114,7 +114,8 @@ _DRIVE_TARGET_BY_MODE = {
 def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
     """Return the last frames of a run, after which other programs can use the drives.
 
-    If the run has failed, the result is empty, and the drives stay in their present state.
+    Return an empty tuple before the mode DONE, and after a failed run. After a failed run, the
+    drives stay in their present state.
     """
     if state.mode != HandMode.DONE or state.failure:
         return ()
@@ -411,15 +412,18 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
             HandMode.DONE,
             f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling_motors)}",
         )
-    enabled = motors_not_confirmed_off(state, inputs.names)
-    if not enabled:
+    possibly_enabled_motors = motors_not_confirmed_off(state, inputs.names)
+    if not possibly_enabled_motors:
         # A drive can report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.time_in_mode < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
-    return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
+    return (
+        HandMode.DONE,
+        f"{REMOVE_POWER}: not confirmed disabled: {', '.join(possibly_enabled_motors)}",
+    )
 
 
 def _next_mode_after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:

@@ -130,7 +130,7 @@ def _envelope_start(
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every commanded force is close to or below the tension of a relaxed tendon."""
+    """Return True if each commanded force is at most slightly above the tension of a relaxed tendon."""
     return not np.any(
         _force_magnitudes(model, state.tendon[s.COMMANDED_FORCE])
         > model.relaxed_tensions + RELAXED_TOLERANCE_N
@@ -138,7 +138,7 @@ def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every tension is close to or below the tension of a relaxed tendon."""
+    """Return True if each tension is at most slightly above the tension of a relaxed tendon."""
     return bool(
         np.all(
             _force_magnitudes(model, state.tendon[s.TENSION])
@@ -175,7 +175,8 @@ def present_relax_rate(state: ControllerState) -> float:
 def is_open_loop(state: ControllerState) -> bool:
     """Return True if the command of each motor is the envelope itself.
 
-    Commands that equal the envelope do not depend on measurements.
+    The envelope is an upper limit of the motor force that falls with time. A command that equals
+    the envelope does not depend on new measurements.
     """
     return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 

@@ -283,13 +283,13 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Let the host send heartbeat and SYNC after the command of one CiA 402 drive per bus, and return all drives.
+    """Add heartbeat and SYNC of the host to the commands of one CiA 402 drive per bus, and return all drives.
 
-    One CiA 402 drive per bus is selected. The host sends its heartbeat after the command of the
-    selected drive. If the bus has no other SYNC frames, the host also sends SYNC after the command
-    of the selected CiA 402 drive. All CiA 402 drives on a bus receive the same heartbeat and the
-    same SYNC frames. The last CiA 402 drive on a bus is selected, so that the SYNC frame comes
-    after all commands. The heartbeat has the shortest period that any drive on the bus needs.
+    On each bus, one CiA 402 drive is selected. The host sends its heartbeat after the command of
+    the selected drive. If the bus has no other SYNC frames, the host also sends SYNC after the
+    command of the selected CiA 402 drive. All CiA 402 drives on a bus receive the same heartbeat
+    and the same SYNC frames. The last CiA 402 drive on a bus is selected, so that the SYNC frame
+    comes after all commands. The heartbeat has the shortest period that any drive on the bus needs.
 
     The host adds no SYNC frames to a bus in two cases. The sensor node on the bus uses the
     identifier 0x080, or the hand file sets the option ``sync`` of a drive on the bus.

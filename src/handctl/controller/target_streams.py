@@ -280,9 +280,9 @@ def _begin_segment(
 def _count_target(
     state: ControllerState, counter_row: int, event_text: str = ""
 ) -> tuple[TickEvent, ...]:
-    """Add one to a counter of targets in the state.
+    """Add one to a counter of targets, an integer in the table ``run_int`` of the state.
 
-    If the count becomes 1, return an event with the given text.
+    If ``event_text`` is not empty and the counter becomes 1, return an event with this text.
     """
     count = state.run_table_integer(counter_row) + 1
     state.set_run_table_integer(counter_row, count)

@@ -5,9 +5,9 @@ so that a tick from a log can be executed again. A tick has four steps. Each ste
 the control loop calls the four methods one by one. The step ``begin_tick`` processes the received
 frames. The step ``decide`` applies requests and chooses the goals. The step ``command`` uses
 streamed targets and goals to compute the frames that will be sent. The step ``conclude`` completes
-the output. Because of the four steps, the control loop can read requests and streamed targets as
-late as possible, and can send the commands as early as possible. The method ``tick`` executes all
-four steps of a tick.
+the state and the output of the tick. Because of the four steps, the control loop can read requests
+and streamed targets as late as possible, and can send the commands as early as possible. The method
+``tick`` executes all four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -354,7 +354,10 @@ class Controller:
         tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
-        """Design a control loop for pending gains, and complete state and output, see ``TickInProgress.conclude``."""
+        """Return the state after the tick, and the output of the tick. See ``TickInProgress.conclude``.
+
+        If new gains are pending, first design the control loop for the new gains.
+        """
         state = tick_in_progress.state
         if tick_in_progress.state_before_torques:
             tick_in_progress.events += self._design_pending_gains(
@@ -467,7 +470,7 @@ class Controller:
             next_row += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the groups of load-cell frames from all amplifiers whose set-up is not complete.
+        """Return the indices of the load-cell frames whose amplifier is not completely set up.
 
         The controller does not use the values that an amplifier sends before its set-up is
         complete.
@@ -697,10 +700,10 @@ class Controller:
         pending_gains = state.decisions.pending_gains
         assert pending_gains is not None
         if (
-            unfinished := self.design_cache.design_next_loop(self.model, pending_gains)
+            unfinished_design := self.design_cache.design_next_loop(self.model, pending_gains)
         ) is not None:
-            state.decide(pending_gains=unfinished.pending_gains)
-            return unfinished.events
+            state.decide(pending_gains=unfinished_design.pending_gains)
+            return unfinished_design.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
             other_controller._compute_torques(state_before_torques, action, ticks)
@@ -729,7 +732,7 @@ class Controller:
             (derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
         )
         # A hand without sensors needs no SYNC frame, so row 0 is not sent.
-        start = 0 if derived_constants.sends_sync else 1
+        first_sent_row = 0 if derived_constants.sends_sync else 1
         amplifiers = state.decisions.amplifiers
         if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
@@ -746,20 +749,23 @@ class Controller:
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
-        sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
+        sent_frames = self._write_commands(state, frame_rows, first_sent_row, target, torque, t_ns)
         if amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
         if mode != CUT:
             return sent_frames
         return concatenate_frames(
-            [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
+            [
+                frames_as_records(self.torque_cut_frames()),
+                Frames.from_rows(frame_rows[first_sent_row:1]),
+            ]
         )
 
     def _write_commands(
         self,
         state: ControllerState,
         frame_words: WordRows,
-        start: int,
+        first_sent_row: int,
         target: DriveTarget,
         torque: Vector,
         t_ns: int,
@@ -772,7 +778,7 @@ class Controller:
         Args:
             state: state of the tick, modified in place.
             frame_words: memory for the frames, where row 0 is the SYNC frame.
-            start: first row to send: 0 with SYNC, 1 without.
+            first_sent_row: first row to send: 0 with SYNC, 1 without.
             target: requested state of the drives.
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
@@ -780,7 +786,7 @@ class Controller:
         tables = self.derived_constants.wire_tables
         frame_batches: list[Frames] = []
         first_row = 0
-        first_unsent_row = start
+        first_unsent_row = first_sent_row
         count = 1
         is_clearing = state.is_clearing_errors and state.mode == HandMode.INVENTORY
         n = len(self.drives)

@@ -170,7 +170,7 @@ class TemplateWriter(CdrWriter):
         self.put_string(frame_id)
 
     def put_field(self, name: str, format_code: str, number: int = 1) -> None:
-        """Append a variable field of one or more numbers.
+        """Append a field of one or more numbers, which can differ in each message of the template.
 
         Args:
             name: name of the field.

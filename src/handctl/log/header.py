@@ -176,10 +176,10 @@ class RunHeader:
         line, _, payload = data.partition(b"\n")
         fields = json.loads(line)
         attachments = {}
-        at = 0
+        offset = 0
         for name, size in fields["attachments"].items():
-            attachments[name] = payload[at : at + size]
-            at += size
+            attachments[name] = payload[offset : offset + size]
+            offset += size
         names = {list_key: tuple(fields[list_key]) for list_key in NAME_LIST_KEYS}
         return cls(**(fields | names | {"attachments": attachments}))
 

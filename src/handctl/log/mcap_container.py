@@ -129,7 +129,7 @@ class McapContainer:
 
     def _write_bytes(self, data: bytes) -> int:
         """Write all bytes, and return the offset of the first byte in the file."""
-        start = self._at
+        offset = self._at
         view = memoryview(data)
         while view:
             # A single call of ``os.write`` can write only a part of the bytes, for example if the
@@ -141,7 +141,7 @@ class McapContainer:
         # The complete size increases only after the last byte of a record has been written.
         # Therefore `cut_incomplete_record` can remove an incomplete record.
         self.complete_size = self._at
-        return start
+        return offset
 
     def cut_incomplete_record(self) -> None:
         """Cut the file off after the last complete record.
@@ -155,10 +155,10 @@ class McapContainer:
     def write_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
         raw_bytes = records_as_bytes([Attachment(time_ns, time_ns, name, media_type, data)])
-        start = self._write_bytes(raw_bytes)
+        offset = self._write_bytes(raw_bytes)
         self._summary.attachments.append(
             AttachmentIndex(
-                offset=start,
+                offset=offset,
                 length=len(raw_bytes),
                 log_time=time_ns,
                 create_time=time_ns,
@@ -195,11 +195,11 @@ class McapContainer:
         )
         chunk = _RECORD_STRUCT.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
         indexes, index_offsets = _message_indexes(blocks, len(head_records))
-        start = self._write_bytes(chunk + indexes)
-        at = ChunkEntry(
-            start, len(chunk), len(packed), len(content), first_time, last_time, len(indexes)
+        offset = self._write_bytes(chunk + indexes)
+        chunk_entry = ChunkEntry(
+            offset, len(chunk), len(packed), len(content), first_time, last_time, len(indexes)
         )
-        self._summary.chunks.add_chunk(at, index_offsets)
+        self._summary.chunks.add_chunk(chunk_entry, index_offsets)
         self._summary.schemas += schemas
         self._summary.channels += channels
         for block in blocks:
@@ -283,15 +283,15 @@ def _message_indexes(
         first_message_offset += len(block.data)
     index_records = []
     offsets = {}
-    at = 0
+    offset = 0
     for channel, entry_arrays in entries.items():
         raw_bytes = b"".join(entry_array.tobytes() for entry_array in entry_arrays)
-        offsets[channel] = at
+        offsets[channel] = offset
         index_records.append(
             _MESSAGE_INDEX_STRUCT.pack(
                 Opcode.MESSAGE_INDEX, 6 + len(raw_bytes), channel, len(raw_bytes)
             )
             + raw_bytes
         )
-        at += len(index_records[-1])
+        offset += len(index_records[-1])
     return b"".join(index_records), offsets

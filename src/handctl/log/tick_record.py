@@ -19,8 +19,9 @@ Tick message:
     Number of long bytes u32, long bytes, padding to 4 bytes.
     Phase, io events, requests, events.
 
-Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes
-are the payload bytes after the eighth byte of all frames, in the order of the frames.
+Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The field data
+contains the first 8 bytes of the payload. The long bytes are all further payload bytes, in the
+order of the frames.
 """
 
 import functools
@@ -381,10 +382,7 @@ def _zero_unused_bytes(records: RecordArray) -> None:
 
 @functools.lru_cache(maxsize=256)
 def _phase_of_eventless_tail(message_tail: bytes) -> str | None:
-    """Return the phase at the end of a Tick message, if the message has no events.
-
-    If the message has events, return None.
-    """
+    """Return the phase at the end of a Tick message without events, or None if the message has events."""
     phase = CdrReader(ENCAPSULATION_HEADER + message_tail).read_string()
     return phase if _eventless_message_tail(phase) == message_tail else None
 

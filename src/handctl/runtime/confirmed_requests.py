@@ -100,11 +100,11 @@ def send_with_confirmation(
     """
     name = f"{os.getpid()}-{next(_request_counter)}"
     data = json.dumps({**request, "by": name}).encode()
-    end = time.monotonic() + CONFIRMATION_TIMEOUT_S
+    wait_end_s = time.monotonic() + CONFIRMATION_TIMEOUT_S
     is_sent = False
     failure_reason = CONTROLLER_SILENT_TEXT
     watcher.discard_status_lines()
-    while (remaining_s := end - time.monotonic()) > 0.0:
+    while (remaining_s := wait_end_s - time.monotonic()) > 0.0:
         if is_repeated or not is_sent:
             is_sent, failure_reason = _try_send_request(
                 watcher,
@@ -116,7 +116,7 @@ def send_with_confirmation(
                 break
             time.sleep(min(remaining_s, SEND_RETRY_PERIOD_S))
             continue
-        remaining_s = max(0.0, end - time.monotonic())
+        remaining_s = max(0.0, wait_end_s - time.monotonic())
         for line in watcher.status_lines(
             min(remaining_s, REQUEST_REPEAT_PERIOD_S) if is_repeated else remaining_s
         ):

@@ -19,7 +19,7 @@ MAX_HOLD_S = 5.0
 
 @dataclass
 class HoldTimeout:
-    """Observer of a run. The observer stops the run if a fault holds the hand for too long.
+    """Observer that stops a run if a fault causes the reaction HOLD for longer than ``MAX_HOLD_S``.
 
     Attributes:
         stop_reason: fault that made this observer stop the run. The text is empty if the run was

@@ -115,7 +115,8 @@ class LoopStats:
 class StopSignals:
     """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first signal relaxes and stops the hand. Each later signal cuts the torque of the motors.
+    The first of these signals relaxes and stops the hand. Each later signal cuts the torque of the
+    motors.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.
@@ -160,10 +161,7 @@ def _skip_snapshot(entry: TickIn, state: object) -> None:
 
 
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
-    """Do nothing.
-
-    A run that does not publish its ticks to other programs calls this function.
-    """
+    """Do nothing with a tick. A run that publishes no ticks to other programs calls this function."""
 
 
 @dataclass
@@ -224,9 +222,9 @@ class ControlLoop(Generic[S]):
     def rehearse_tick(self) -> Iterator[None]:
         """Execute the first two steps of the last tick again, and yield between the steps.
 
-        The first two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. A
-        rehearsal includes neither requests nor commands, and the result of the rehearsal is
-        discarded.
+        The steps begin and decide use most of the code and the data of a tick, see
+        ``clocks.rehearsal``. A rehearsal includes neither requests nor commands, and the result of
+        the rehearsal is discarded.
         """
         if self._rehearsed_inputs:
             tick = self.begin_tick(*self._rehearsed_inputs)

@@ -59,7 +59,7 @@ def run_dir() -> Path:
 
 
 def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) -> Path:
-    """Walk from the root folder to a folder. Check each folder on the way, and create missing folders.
+    """Check each folder from the root folder to a given folder, and create missing folders.
 
     Args:
         path: path of the folder.
@@ -71,33 +71,33 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
     """
     folder_names = Path(os.path.abspath(path)).parts
     folder = Path(folder_names[0])
-    at = os.open(folder_names[0], FOLDER_OPEN_FLAGS)
+    folder_fd = os.open(folder_names[0], FOLDER_OPEN_FLAGS)
     try:
         for number, folder_name in enumerate(folder_names[1:], 1):
             folder /= folder_name
             is_private = number >= len(folder_names) - private_path_parts
-            state = _stat_or_make_folder(folder_name, at)
+            state = _stat_or_make_folder(folder_name, folder_fd)
             if stat.S_ISLNK(state.st_mode):
                 # Only symbolic links that root has created are followed, such as /tmp on macOS.
                 if is_private or state.st_uid != 0 or link_count == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(folder), PRIVATE_FOLDER_TEXT)
-                target = folder.parent / os.readlink(folder_name, dir_fd=at)
+                target = folder.parent / os.readlink(folder_name, dir_fd=folder_fd)
                 return _private_folder(
                     target.joinpath(*folder_names[number + 1 :]), private_path_parts, link_count + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if is_private else FOLDER_OPEN_FLAGS
             # The folder name is relative to the parent folder that has been checked. A new name of
             # the parent folder therefore has no effect on the opened folder.
-            child_fd = os.open(folder_name, flags | os.O_NOFOLLOW, dir_fd=at)
-            os.close(at)
-            at = child_fd
-            (_refuse_shared_folder if is_private else _refuse_unsafe_folder)(folder, at)
+            child_fd = os.open(folder_name, flags | os.O_NOFOLLOW, dir_fd=folder_fd)
+            os.close(folder_fd)
+            folder_fd = child_fd
+            (_refuse_shared_folder if is_private else _refuse_unsafe_folder)(folder, folder_fd)
     except OSError as error:
         raise BusError(
             f"cannot be used: {error.strerror}", str(folder), PRIVATE_FOLDER_TEXT
         ) from None
     finally:
-        os.close(at)
+        os.close(folder_fd)
     return Path(os.path.abspath(path))
 
 

@@ -106,9 +106,10 @@ def _detect_duplicate_answers(
 def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if an answer of the load cells was missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
-    After a missing answer, an additional answer without a counter is regarded as late, and not as a
-    duplicate. The result is also True after a tick without an answer of the load cells, and after a
-    tick that this host has missed.
+    Answers without a counter do not show whether an additional answer is late or a duplicate. If an
+    answer was missing before, the controller regards an additional answer as late. The result is
+    also True after a tick without an answer of the load cells, and after a tick that this host has
+    missed.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1]
@@ -117,7 +118,7 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
 
 
 def _duplicate_kind(payloads: list[bytes], expected_count: int) -> int:
-    """Return 1 if all excess replies equal the last expected reply, and 2 if their bytes differ."""
+    """Return 1 if every excess reply equals the last expected reply, and 2 if any excess reply differs."""
     return 2 if len(set(payloads[expected_count - 1 :])) > 1 else 1
 
 

@@ -338,14 +338,14 @@ def _scalar_features(
     """Return the scalar features that LeRobot requires in every frame of an episode."""
     frames_before = sum(episode.frames for episode in episodes[:episode_index])
     frames = episodes[episode_index].frames
-    index = np.arange(frames)
+    frame_indices = np.arange(frames)
     return {
-        "timestamp": (index / fps).astype(np.float32),
-        "frame_index": index,
+        "timestamp": (frame_indices / fps).astype(np.float32),
+        "frame_index": frame_indices,
         "episode_index": np.full(frames, episode_index, np.int64),
-        "index": frames_before + index,
+        "index": frames_before + frame_indices,
         "task_index": np.full(frames, tasks.index(episodes[episode_index].task), np.int64),
-        "next.done": index == frames - 1,
+        "next.done": frame_indices == frames - 1,
     }
 
 

@@ -54,7 +54,8 @@ class MessageRows(NamedTuple):
         size = self.records.shape[1]
         content = self.records.tobytes()
         return [
-            content[at + _MESSAGE_DATA_OFFSET : at + size] for at in range(0, len(content), size)
+            content[offset + _MESSAGE_DATA_OFFSET : offset + size]
+            for offset in range(0, len(content), size)
         ]
 
     def data(self) -> NDArray[np.uint8]:
@@ -98,26 +99,26 @@ def iter_messages(
         struct.error: the chunk ends within a record.
     """
     raw_bytes = np.frombuffer(content, np.uint8)
-    at = 0
+    offset = 0
     definition_count = 0
     remaining = MIN_BLOCK_LIMIT + compressed_size // BYTES_PER_BLOCK
-    while at < len(content):
+    while offset < len(content):
         remaining -= 1
         if remaining < 0:
             raise ValueError("more messages than a chunk of this size may contain")
-        code, length = _RECORD_STRUCT.unpack_from(content, at)
+        code, length = _RECORD_STRUCT.unpack_from(content, offset)
         size = _RECORD_STRUCT.size + length
-        if at + size > len(content):
+        if offset + size > len(content):
             raise ValueError("a record extends beyond the end of its chunk")
         count = 1
         if code == MESSAGE_OPCODE:
             if size < _MESSAGE_DATA_OFFSET:
                 raise ValueError("a message that is too short")
-            count = _count_similar_records(content, at, size)
-            (channel,) = _CHANNEL_STRUCT.unpack_from(content, at + 9)
+            count = _count_similar_records(content, offset, size)
+            (channel,) = _CHANNEL_STRUCT.unpack_from(content, offset + 9)
             if channels is None or channel in channels:
                 yield MessageRows(
-                    channel, at, raw_bytes[at : at + count * size].reshape(count, size)
+                    channel, offset, raw_bytes[offset : offset + count * size].reshape(count, size)
                 )
         elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
             definition_count += 1
@@ -125,7 +126,7 @@ def iter_messages(
                 raise ValueError(f"more than {MAX_CHANNELS} channels")
         else:
             raise ValueError(f"a record of kind {code} in a chunk")
-        at += count * size
+        offset += count * size
 
 
 def _count_similar_records(content: bytes, offset: int, size: int) -> int:
@@ -187,10 +188,10 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
     This function raises the same errors as `iter_messages`.
     """
     result = ChunkDefinitions([], [])
-    at = 0
-    while at < len(content):
-        code, length = _RECORD_STRUCT.unpack_from(content, at)
-        body = content[at + _RECORD_STRUCT.size : at + _RECORD_STRUCT.size + length]
+    offset = 0
+    while offset < len(content):
+        code, length = _RECORD_STRUCT.unpack_from(content, offset)
+        body = content[offset + _RECORD_STRUCT.size : offset + _RECORD_STRUCT.size + length]
         if code == Opcode.SCHEMA:
             result.schemas.append(_decode_schema(body))
         elif code == Opcode.CHANNEL:
@@ -199,7 +200,7 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
             break
         if max(len(result.schemas), len(result.channels)) > MAX_CHANNELS:
             raise ValueError(f"more than {MAX_CHANNELS} channels")
-        at += _RECORD_STRUCT.size + length
+        offset += _RECORD_STRUCT.size + length
     return result
 
 
@@ -220,20 +221,20 @@ def _read_bytes(body: bytes, offset: int) -> tuple[bytes, int]:
 def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
     """Decode a Schema record with the fields id u16, name, encoding, data."""
     (number,) = struct.unpack_from("<H", body)
-    name, at = _read_text(body, 2)
-    encoding, at = _read_text(body, at)
-    return number, name, encoding, _read_bytes(body, at)[0]
+    name, offset = _read_text(body, 2)
+    encoding, offset = _read_text(body, offset)
+    return number, name, encoding, _read_bytes(body, offset)[0]
 
 
 def _decode_channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
     """Decode a Channel record with the fields id u16, schema id u16, topic, encoding, metadata (texts by key)."""
     number, schema = struct.unpack_from("<HH", body)
-    topic, at = _read_text(body, 4)
-    encoding, at = _read_text(body, at)
-    raw_bytes, _ = _read_bytes(body, at)
+    topic, offset = _read_text(body, 4)
+    encoding, offset = _read_text(body, offset)
+    raw_bytes, _ = _read_bytes(body, offset)
     metadata = {}
-    at = 0
-    while at < len(raw_bytes):
-        key, at = _read_text(raw_bytes, at)
-        metadata[key], at = _read_text(raw_bytes, at)
+    offset = 0
+    while offset < len(raw_bytes):
+        key, offset = _read_text(raw_bytes, offset)
+        metadata[key], offset = _read_text(raw_bytes, offset)
     return number, schema, topic, encoding, metadata

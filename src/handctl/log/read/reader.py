@@ -72,9 +72,10 @@ class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        tick_heads: (ticks,) first part of each Tick message. The first part has a constant length.
-        first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
-            number of all ticks.
+        tick_heads: (ticks,) first part of each Tick message, from k to action. This part has a
+            constant length.
+        first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element
+            is the number of all ticks.
         snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
             of the snapshot messages.
     """
@@ -277,8 +278,8 @@ class RunLog:
     @property
     def gaps(self) -> list[TickGap]:
         """Return the gaps of the log. In a gap, one or more ticks are missing."""
-        at = np.flatnonzero(np.diff(self.k) != 1)
-        return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
+        last_ticks_before_gaps = np.flatnonzero(np.diff(self.k) != 1)
+        return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in last_ticks_before_gaps]
 
     def field(self, name: str) -> Array:
         """Return a field of the telemetry (ticks, n).

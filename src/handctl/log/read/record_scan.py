@@ -141,33 +141,33 @@ def scan_records(
     scan.problem = scan.problem if scan.skipped_ranges else ""
     uncompressed_size = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
-        at = scan.end
-        code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
-        end = at + _RECORD_STRUCT.size + length
+        offset = scan.end
+        code, length = _RECORD_STRUCT.unpack(file.read_range(offset, _RECORD_STRUCT.size))
+        end = offset + _RECORD_STRUCT.size + length
         # The opcode 0 is never valid. However, after a power failure, a log file can end with
         # zeros.
         if code == 0 or end > file.size:
             if is_finished:
                 raise LogError(
-                    "damaged log: no record here", file.position_text(at), "an intact file"
+                    "damaged log: no record here", file.position_text(offset), "an intact file"
                 )
             break
         if code == _MESSAGE_INDEX_OPCODE and length >= _LENGTHS[_MESSAGE_INDEX_OPCODE]:
             scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
-            _check_end_record(file, scan, at, end, is_checked)
+            _check_end_record(file, scan, offset, end, is_checked)
             return
         try:
-            with LogErrorContext(file.position_text(at)):
-                uncompressed_size += _add_record(file, scan, code, at, end)
+            with LogErrorContext(file.position_text(offset)):
+                uncompressed_size += _add_record(file, scan, code, offset, end)
         except LogError as error:
             if not skip_chunk_content:
                 raise
             scan.problem = scan.problem or str(error)
-            scan.skipped_ranges.append((at, end))
+            scan.skipped_ranges.append((offset, end))
         scan.unknown_record_count += code not in Opcode.__members__.values()
-        with LogErrorContext(file.position_text(at)):
+        with LogErrorContext(file.position_text(offset)):
             _check_limits(scan, uncompressed_size)
         scan.end = end
     scan.problem = (

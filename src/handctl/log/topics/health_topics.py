@@ -141,9 +141,9 @@ class HealthTopics:
         if not len(period_starts):
             return []
         values = batch.numbers[period_starts, self._columns["motor_temperature"]]
-        at = stamps.select(period_starts)
+        period_stamps = stamps.select(period_starts)
         return [
-            stream.block(at, {"temperature": values[:, [index]]})
+            stream.block(period_stamps, {"temperature": values[:, [index]]})
             for index, stream in enumerate(self._temperatures)
         ]
 

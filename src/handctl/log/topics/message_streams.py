@@ -107,8 +107,8 @@ class MessageStream:
         )
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
-            *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamp_offsets)),
-            *((name, (code, (n,)), 31 + at) for name, (at, code, n) in template.fields.items()),
+            *((f"stamp{i}", ("<u4", (2,)), 31 + offset) for i, offset in enumerate(template.stamp_offsets)),
+            *((name, (code, (n,)), 31 + offset) for name, (offset, code, n) in template.fields.items()),
         ]  # fmt: skip
         names, formats, offsets = zip(*fields, strict=True)
         self._dtype = np.dtype(

@@ -32,16 +32,18 @@ class TargetTopic:
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return a message for each streamed target in a batch of ticks."""
-        at = list[int]()
+        tick_indices = list[int]()
         messages = list[bytes]()
         for index, tick in batch.ticks_with_events.items():
             for target in self._stream_targets(tick.tick_in.requests):
-                at.append(index)
+                tick_indices.append(index)
                 messages.append(self._target_message(int(stamps.log_times[index]), target))
         if not messages:
             return []
         return [
-            variable_length_block(self._channel, stamps.select(np.array(at, np.intp)), messages)
+            variable_length_block(
+                self._channel, stamps.select(np.array(tick_indices, np.intp)), messages
+            )
         ]
 
     def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:

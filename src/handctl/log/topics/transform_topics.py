@@ -73,7 +73,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
         parent = tips[digit["mount_on"]] if "mount_on" in digit else ROOT_FRAME
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion_of_rpy(*map(math.radians, digit["mount_rpy_deg"]))
-        turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
+        joint_rotations_deg = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
         kinds = digit.get("joint_type", ["revolute"] * len(lengths))
         default = [
             PRISMATIC_JOINT_AXIS if kind == "prismatic" else DEFAULT_JOINT_AXIS for kind in kinds
@@ -84,7 +84,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             size = math.hypot(*axes[index])
             axis = tuple(component / size for component in axes[index])
             turned_quaternion = multiply_quaternions(
-                rotation, quaternion_of_rpy(*map(math.radians, turns[index]))
+                rotation, quaternion_of_rpy(*map(math.radians, joint_rotations_deg[index]))
             )
             is_prismatic = kinds[index] == "prismatic"
             frames.append(

@@ -253,8 +253,9 @@ class Recorder:
     def _pipe_level_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets the event "filling", because the number of bytes in the pipe
-        depends on the speed of the machine. When the pipe is full, a deterministic run waits.
+        The number of bytes in the pipe depends on the speed of the machine. For this reason, a
+        deterministic run gets no event about the pipe. If the pipe is full, a deterministic run
+        waits.
         """
         if self._lossless:
             return []

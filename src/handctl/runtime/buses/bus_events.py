@@ -77,7 +77,7 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Events of one bus with their counts, and the lasting states.
+    """Events of one bus with their counts, and the persistent events of the bus.
 
     The counts of events begin at the last call of ``take_events``.
     """
@@ -86,7 +86,7 @@ class BusEvents:
         """Start without events. Each event contains ``bus_name`` as the name of the bus."""
         self.where = bus_name
         self._counts: dict[tuple[str, str], int] = {}
-        self._lasting: set[str] = set()
+        self._persistent_events: set[str] = set()
 
     def add_event(self, event_kind: str, occurrences: int = 1, detail_text: str = "") -> None:
         """Add a number of occurrences to the count of an event.
@@ -120,11 +120,11 @@ class BusEvents:
         self.add_event(kind, occurrences)
 
     def set_persistent_event(self, event_kind: str, is_present: bool) -> None:
-        """Begin or end a lasting state of the bus.
+        """Begin or end a persistent event of the bus, for example bus-off.
 
-        Each call of ``take_events`` reports every lasting state.
+        From its beginning to its end, each call of ``take_events`` reports the persistent event again.
         """
-        (self._lasting.add if is_present else self._lasting.discard)(event_kind)
+        (self._persistent_events.add if is_present else self._persistent_events.discard)(event_kind)
 
     def add_error_frame(self, can_id: int, data: bytes) -> None:
         """Decode an error frame from the kernel, and count its events.
@@ -158,9 +158,9 @@ class BusEvents:
             self.set_persistent_event("error_passive", bool(status & PASSIVE_MASK))
 
     def take_events(self) -> list[BusEvent]:
-        """Return the events since the last call of this method, followed by the lasting states."""
-        if not self._counts and not self._lasting:
+        """Return the events since the last call of this method, followed by the persistent events."""
+        if not self._counts and not self._persistent_events:
             return []
         events = [(kind, location, number) for (kind, location), number in self._counts.items()]
         self._counts = {}
-        return events + [(kind, self.where, 1) for kind in sorted(self._lasting)]
+        return events + [(kind, self.where, 1) for kind in sorted(self._persistent_events)]

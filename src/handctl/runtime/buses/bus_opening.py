@@ -30,8 +30,9 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
-    A bus converts the reception times of its frames with a given function. A program that executes
-    no run uses this function, because only a run has a time that differs from CLOCK_MONOTONIC.
+    A bus converts the reception time of each frame with a function. A run passes a function that
+    converts CLOCK_MONOTONIC to the time of the run. A program without a run uses CLOCK_MONOTONIC
+    itself, and passes no function. The bus then uses this identity function.
     """
     return t_ns
 

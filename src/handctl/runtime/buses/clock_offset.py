@@ -4,11 +4,11 @@ The offset converts the reception times of CAN frames.
 
 The Linux kernel stamps received frames with the time of the wall clock. A run uses CLOCK_MONOTONIC.
 
-The wall clock and CLOCK_MONOTONIC run at the same rate. Therefore the offset changes only when the
-wall clock is set. A bus requests a new measurement of the offset when a frame has an impossible
-time stamp. In user-mode Linux, each clock reading is a system call. In user-mode Linux, two clock
-readings in each tick would take as much time as the exchange of frames, so each measured offset is
-used many times. Source: man 2 clock_gettime, man 7 vdso.
+The wall clock and CLOCK_MONOTONIC run at the same rate. Therefore the offset between both clocks
+changes only when the wall clock is set. If the time stamp of a frame is impossible, the bus
+requests a new measurement of the offset. In user-mode Linux, each clock reading is a system call.
+In user-mode Linux, two clock readings in each tick would take as much time as the exchange of
+frames, so each measured offset is used many times. Source: man 2 clock_gettime, man 7 vdso.
 """
 
 import time

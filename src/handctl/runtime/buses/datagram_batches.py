@@ -150,9 +150,9 @@ class DatagramSlots:
             :, 1
         ]
         control_words = np.frombuffer(self.control, "l").reshape(count, -1)
-        at = TIME_STAMP_OFFSET // control_words.itemsize
-        self._seconds = control_words[:, at]
-        self._nanoseconds = control_words[:, at + 1]
+        first_stamp_word = TIME_STAMP_OFFSET // control_words.itemsize
+        self._seconds = control_words[:, first_stamp_word]
+        self._nanoseconds = control_words[:, first_stamp_word + 1]
         counters = np.frombuffer(self.control, np.uint32).reshape(count, -1)
         self._loss_counters = counters[:, COUNTER_OFFSET // counters.itemsize]
         self._initial_headers = bytes(self._view)
@@ -262,12 +262,15 @@ def send_datagrams(
         the number of accepted datagrams, and the errno of the first refused datagram (0 if all were
         accepted).
     """
-    at = first_slot
-    while at < slot_end:
+    next_slot = first_slot
+    while next_slot < slot_end:
         count = _libc.sendmmsg(
-            fd, slots.headers + at * _HEADER_STRUCT.size, slot_end - at, socket.MSG_DONTWAIT
+            fd,
+            slots.headers + next_slot * _HEADER_STRUCT.size,
+            slot_end - next_slot,
+            socket.MSG_DONTWAIT,
         )
         if count <= 0:
-            return at - first_slot, ctypes.get_errno()
-        at += count
+            return next_slot - first_slot, ctypes.get_errno()
+        next_slot += count
     return slot_end - first_slot, 0

@@ -230,7 +230,7 @@ class LocalBus:
     def _frames_fitting_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the first frames of a batch, as many as the transmit queue has room for.
 
-        All other frames of the batch count as refused.
+        The frames that do not fit into the transmit queue count as refused.
         """
         if len(frames) > self._free_queue_places():
             # The hub may have reported a change of the transmit queue since the last read.

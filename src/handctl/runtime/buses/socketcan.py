@@ -152,16 +152,16 @@ class SocketCanBus:
         times += self._offset.offset_ns()
         receive_times = times.tolist()
         min_stamp_ns = self._latest
-        first_index = min(receive_times)
-        last_index = max(receive_times)
-        if not min_stamp_ns <= first_index <= last_index <= min_stamp_ns + MAX_STAMP_STEP_NS:
+        first_time_ns = min(receive_times)
+        last_time_ns = max(receive_times)
+        if not min_stamp_ns <= first_time_ns <= last_time_ns <= min_stamp_ns + MAX_STAMP_STEP_NS:
             return None
         convert_time = self._convert_time
-        start = convert_time(first_index)
+        first_run_time_ns = convert_time(first_time_ns)
         if (
-            convert_time(last_index) - start == last_index - first_index
+            convert_time(last_time_ns) - first_run_time_ns == last_time_ns - first_time_ns
         ):  # between the time stamps of a batch, the time of the run is neither scaled nor paused
-            times += start - first_index
+            times += first_run_time_ns - first_time_ns
         else:
             times = np.array([convert_time(t_ns) for t_ns in receive_times])
         self._latest = receive_times[-1]

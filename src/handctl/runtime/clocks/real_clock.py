@@ -72,7 +72,7 @@ class RealClock:
     paused_ns: int = 0
 
     def start(self) -> None:
-        """Start the time of the run. The deadline of tick 0 is one period later."""
+        """Start the time of the run. The deadline of tick 0 is one period after this call."""
         self.start_ns = self._read_clock_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:

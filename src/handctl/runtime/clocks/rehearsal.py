@@ -40,7 +40,7 @@ As a result, the clock sometimes tries whether a rehearsal has become shorter.
 
 @dataclass
 class Rehearsal:
-    """Rehearsals of ticks during one run. The object also estimates how long the next rehearsal will take.
+    """Rehearsals of ticks during one run, and an estimate of the duration of the next rehearsal.
 
     Attributes:
         execute_steps: function that executes two steps of the last tick again, and yields between

@@ -169,7 +169,7 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """Add a pause that sets the clock back to its gate, if the clock has passed the gate.
+        """Set the clock back to its gate by an additional pause, if the clock has passed the gate.
 
         For the simulator, time does not jump back, because the simulator has never used a time
         after the gate.
@@ -185,11 +185,11 @@ class SharedClock(RealClock):
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:
             return
-        end = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
+        wait_end_ns = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
         while not self._is_answered(deadline_ns):
             time.sleep(SIMULATOR_POLL_PERIOD_S)
             self._pause_at_gate()
-            if time.monotonic_ns() > end:
+            if time.monotonic_ns() > wait_end_ns:
                 self._answer_count_at_timeout = numbers[ANSWERED_INDEX]
                 return
 

@@ -64,10 +64,10 @@ class BusScan(NamedTuple):
 
 def collect_frames(bus: Bus, duration_s: float, seen_frames: list[Frame]) -> None:
     """Append the frames that a bus receives within ``duration_s`` to ``seen_frames``."""
-    end = time.monotonic() + duration_s
+    end_s = time.monotonic() + duration_s
     while True:
         seen_frames += bus.drain()
-        remaining_s = end - time.monotonic()
+        remaining_s = end_s - time.monotonic()
         if remaining_s <= 0:
             return
         time.sleep(min(remaining_s, 0.005))

@@ -166,7 +166,8 @@ class BusWatch:
         """Process a received frame.
 
         First, every load-cell amplifier processes the frame. If the frame contains sensor readings,
-        the readings are then stored. A frame without sensor readings is processed by every drive.
+        this object then stores the readings in ``tensions`` or ``angles``. A frame without sensor
+        readings is processed by every drive.
         """
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):

@@ -59,7 +59,7 @@ class ConformanceCheck(NamedTuple):
 
 
 class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """Raised if a drive does not meet a requirement. The text of the exception describes the observation."""
+    """Raised if a drive does not meet a requirement. The text of the exception describes how the drive behaved."""
 
 
 class CheckNotPossible(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
@@ -91,8 +91,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first check that turns the shaft fails, the second check that turns the
-    shaft is left out.
+    turn the shaft. If the first of these two checks fails, the second is left out.
     """
     is_usable = True
     reversed_direction_failed = False
@@ -231,7 +230,7 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
         return "without torque commands, because each of them enables"
-    start = rig.state.position
+    start_position = rig.state.position
     initial_reported_torque = rig.state.torque
     initial_speed = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
     reported_torques: list[float] = []
@@ -240,7 +239,7 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
         torque = device.torque_limit_N_m * (i + 1) / CHECK_DURATION_TICKS
         rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(torque))
         reported_torques.append(rig.state.torque - initial_reported_torque)
-        position_change = rig.state.position - start
+        position_change = rig.state.position - start_position
         if abs(position_change) > MIN_MOTION_RAD + initial_speed * (rig.t_ns - start_ns) * 1e-9:
             rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
             raise CheckFailed(
@@ -259,16 +258,16 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
 
 def _check_enable_command(device: DeviceUnderTest) -> str:
     """Check that the drive can be enabled, and measure the time until it is enabled."""
-    start = device.rig.t_ns
+    start_ns = device.rig.t_ns
     _enable_drive(device.rig)
-    return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
+    return f"after {(device.rig.t_ns - start_ns) / 1e6:.0f} ms"
 
 
 def _check_feedback(device: DeviceUnderTest) -> str:
     """Check that an enabled drive sends new feedback in nearly every tick."""
     rig = device.rig
     _enable_drive(rig)
-    start = rig.state.feedback_count
+    feedback_count_before = rig.state.feedback_count
     ticks = 100
     ages_ns = []
     for _ in range(ticks):
@@ -276,7 +275,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
         # After a tick, the time of the rig is already the time of the next tick.
         ages_ns.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages_ns.sort()
-    count = rig.state.feedback_count - start
+    count = rig.state.feedback_count - feedback_count_before
     high_age_ns = ages_ns[-MAX_LATE_TICKS_PER_100]
     result_text = (
         f"{count} feedback frames in {ticks} ticks, at most {max(ages_ns[-1], 0) / 1e6:.0f} ms old"
@@ -355,12 +354,12 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
     """Check that the drive reports that it is disabled, within a second of the disable command."""
     rig = device.rig
     _enable_drive(rig)
-    start = rig.t_ns
+    start_ns = rig.t_ns
     if not rig.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
         raise CheckFailed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
-    duration_text = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
+    duration_text = f"after {(rig.t_ns - start_ns) / 1e6:.0f} ms"
     # Some drives do not report whether they are enabled. A drive that does not report its state
     # gets torque commands after the disable command. The torque commands show whether the drive has
     # ignored the disable command.

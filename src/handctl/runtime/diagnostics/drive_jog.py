@@ -108,9 +108,9 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 
 
 class _JogExecution:
-    """Execution of a jog.
+    """Execution of a jog, a short motion of one drive.
 
-    The object computes the commands, checks the limits, and collects the result of the jog.
+    The execution computes the commands of the jog, checks its limits, and collects its result.
     """
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
@@ -187,8 +187,8 @@ class _JogExecution:
     def bring_to_rest(self) -> str:
         """Bring velocity or torque to zero along a ramp, or hold the position.
 
-        The method takes at least HOLD_DURATION_S. The method returns the reason for an early stop,
-        or an empty text.
+        Bringing the drive to rest takes at least ``HOLD_DURATION_S``. Return the reason for an
+        early stop, or an empty text.
         """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:

@@ -142,23 +142,23 @@ def adapter_findings(
         problem_text += (
             f": one exchange each millisecond, at most {MAX_RATE_AT_FULL_SPEED_HZ} Hz for a hand"
         )
-    rows = [LinkFinding(problem_text, True)]
+    findings = [LinkFinding(problem_text, True)]
     if adapter.driver == "mcp251x":
         problem_text = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
-        rows.append(
+        findings.append(
             LinkFinding(
                 problem_text, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s"
             )
         )
     if adapter.serial and other_interfaces:
         udev_rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
-        rows.append(
+        findings.append(
             LinkFinding(
                 f"its name depends on the order of plugging in. To keep it, in {UDEV_FILE}: {udev_rule}",
                 True,
             )
         )
-    return rows
+    return findings
 
 
 def _rate_finding(
