@@ -11,7 +11,10 @@ from firmware_sim.wire.simulated_wire import NEVER_NS
 
 
 class HubPort:
-    """A port that owns the hub of its bus. The class ``bus_ports.BusPort`` describes the methods."""
+    """A port in the process that has opened the hub of the bus.
+
+    The class ``bus_ports.BusPort`` describes the methods.
+    """
 
     due_ns = NEVER_NS
 

@@ -131,10 +131,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return for each digit whether it closes against the first digit that can close.
+    """Return one flag for each digit: True if the digit closes in the opposite direction to the first finger.
 
-    For example, if the first digit is a finger and the thumb closes against the finger, the value
-    for the thumb is True.
+    The first finger is the first digit that can close. For example, if the thumb closes against the
+    first finger, the flag of the thumb is True.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -421,9 +421,9 @@ def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
     loopback tendon or a bar between the joints prevents this motion.
 
     The model has loopback tendons, so that the joint angles q follow the coupling matrix B of the
-    digit. Let c be a vector with B^T c = 0. The coupling keeps the weighted sum c^T q constant. In
-    the model, a loopback tendon represents each vector c, and ``_equality_element`` keeps the
-    length of this tendon constant.
+    digit. Let c be a vector with B^T c = 0. The coupling keeps the weighted sum c^T q constant. For
+    each vector c, the model has a loopback tendon with the length c^T q. ``_equality_element``
+    keeps this length constant.
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of

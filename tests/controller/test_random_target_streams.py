@@ -167,9 +167,10 @@ def test_random_targets_cause_no_fault(
     The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of
     the tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
-    Reproduce another defect: faults ended 12 of 60 streams of tensions to n_plus_1. The faults were
-    T01 (a tendon snapped), T02b (a tendon stays slack) and N14b (a tension oscillates). The
-    integral of the tension error moved the free finger, and slack tendons were taken up too slowly.
+    Reproduce another defect: the hand n_plus_1 followed 60 streams of tension targets, and faults
+    ended 12 of the streams. The faults were T01 (a tendon snapped), T02b (a tendon stays slack) and
+    N14b (a tension oscillates). The integral of the tension error moved the free finger, and slack
+    tendons were taken up too slowly.
     """
     model = model_of(hand_name)
     digit = model.hand.digit_names[0]

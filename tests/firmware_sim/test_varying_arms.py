@@ -40,9 +40,9 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
         drivetrain_parts = routing.rows, routing.joints, routing.arms, motors
         torque = [0.0] * len(hand.joints)
         step_drivetrain(*drivetrain_parts, q, dq, torque, [0.0] * len(specs), False)
-        work = sum(row.tension * row.speed for row in routing.tendons)
-        assert np.dot(torque, dq) == pytest.approx(work, rel=1e-9)
-        assert abs(work) > 1e-3
+        tendon_power = sum(row.tension * row.speed for row in routing.tendons)
+        assert np.dot(torque, dq) == pytest.approx(tendon_power, rel=1e-9)
+        assert abs(tendon_power) > 1e-3
         small = 1e-6
         for row in routing.tendons:
             ends = [

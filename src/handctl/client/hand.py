@@ -571,8 +571,7 @@ class HandClient:
     ) -> Observation:
         """Wait until digits are in contact or the hand is in a given phase, and return the observation at that time.
 
-        If contacts and a phase are both given, the wait ends at a tick in which the digits are in
-        contact and the hand is in the phase.
+        If ``contact`` and ``phase`` are both given, both conditions must be true in the same tick.
 
         Args:
             contact: a digit, or several digits that must all be in contact.

@@ -445,7 +445,9 @@ def _controller_of_file(path: str) -> Controller:
 
 
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest target that an action can give to each joint or digit, (V,) each [deg].
+    """Return the lowest and the highest allowed targets of an action [deg].
+
+    Each of the two results has one value for each joint or digit, shape (V,).
 
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """

@@ -103,7 +103,7 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
     def values_outside_telemetry(self, name: str) -> Any:
-        """Return the references of an observation part [rad].
+        """Return the reference angles of the joints or digits for one part of the observation [rad].
 
         For the part ``reference_ahead_rad``, the result is the references at the time ``horizon_s``
         from now. For any other part, the result is the present references.

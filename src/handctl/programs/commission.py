@@ -113,11 +113,13 @@ class CommissionProgram:
     """Program that commissions a hand, with one step for the tares and one step for each tendon.
 
     Step 0 tares all load cells, and step i + 1 pulls tendon i. `ProgramProgress.record` is a table
-    with a row for each tendon. The first five columns of the table are the sum of the tare samples,
-    the number of tare samples, the motor zero [rad], the response [N], and the crosstalk [N]. Three
-    further columns contain the sum of samples during the present pull, and the sum and the number
-    of samples just before the pull. The last column contains the travel at the start of the pull
-    [m].
+    with a row for each tendon. The columns of the table are:
+
+    - sum and number of the tare samples,
+    - motor zero [rad], response [N], and crosstalk [N],
+    - sum of the load-cell samples during the present pull,
+    - sum and number of the load-cell samples just before the pull,
+    - travel at the start of the pull [m].
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:

@@ -112,8 +112,8 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         tension_trip = (new_limits.tension_trip_N,) * len(tension_trip)
     max_silence_ms = new_limits.silent_ms
     max_stall_ms = new_limits.stalled_ms
-    soft_temperature = new_limits.temperature_soft_degC
-    hard_temperature = new_limits.temperature_hard_degC
+    soft_limit_degC = new_limits.temperature_soft_degC
+    hard_limit_degC = new_limits.temperature_hard_degC
     return replace(
         old_limits,
         tension_trip=tension_trip,
@@ -128,8 +128,8 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         stalled_ticks=tick_count_for_time(max_stall_ms / 1e3, period, MIN_STALLED_TICKS)
         if max_stall_ms
         else old_limits.stalled_ticks,
-        temperature_soft=soft_temperature or old_limits.temperature_soft,
-        temperature_hard=hard_temperature or old_limits.temperature_hard,
+        temperature_soft=soft_limit_degC or old_limits.temperature_soft,
+        temperature_hard=hard_limit_degC or old_limits.temperature_hard,
     )
 
 

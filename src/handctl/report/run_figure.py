@@ -317,12 +317,12 @@ def _mark_positions(
         # If a mark is near the end of the axis, the name is written to the left of the line that
         # marks the time.
         left_edge_s = t_s if t_s + width <= time_limits_s[1] else t_s - width
-        taken_heights = {
+        occupied_heights = {
             position[1]
             for position in positions
             if position and abs(position[0] - left_edge_s) < width
         }
-        free_heights = [height for height in MARK_HEIGHTS if height not in taken_heights]
+        free_heights = [height for height in MARK_HEIGHTS if height not in occupied_heights]
         is_inside = time_limits_s[0] <= t_s <= time_limits_s[1]
         positions.append((left_edge_s, free_heights[0]) if is_inside and free_heights else None)
     return positions

@@ -98,7 +98,7 @@ that comes a tick late), report squared, and the response of the filter to a con
 
 @kernel_helper
 def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
-    """Update the low-passed products of the changes of commands and reports.
+    """Update the low-passed products a b, where a is a change of the command and b a change of the report.
 
     A drive replies to a command before it obeys the command, so the report of the present tick
     belongs to the command before the last command.

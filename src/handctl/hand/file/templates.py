@@ -276,7 +276,7 @@ class _TemplateResolver:
     def _resolve_digit(
         self, digit_layers: Sequence[ValueLayer], values: dict[str, Any], path: str
     ) -> None:
-        """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
+        """Move the tendons and motors of a digit to the tables of the hand, and write one value for each link."""
         digit = values.get("name")
         layers_by_kind = {
             kind: _template_layers_by_name(digit_layers, kind) for kind in TABLE_KINDS_IN_DIGIT

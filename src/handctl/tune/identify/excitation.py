@@ -253,11 +253,11 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
     """
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)
-    arms = abs(model.moment_arms_at(model.joint_min)).sum(axis=0)
+    moment_arms = abs(model.moment_arms_at(model.joint_min)).sum(axis=0)
     preload = zip(
         digit_file.spring_stiffness_N_m_per_rad,
         digit_file.spring_preload_rad,
-        arms.tolist(),
+        moment_arms.tolist(),
         strict=True,
     )
     # When a joint leaves its open stop, the torque of its spring equals the tension times the
