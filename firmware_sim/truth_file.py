@@ -9,7 +9,6 @@ and of a float64 for each column, little-endian.
 
 import json
 import os
-import struct
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -120,9 +119,10 @@ class TruthWriter:
             "period_ns": PERIOD_NS,
             **header,
         }
-        self._row_struct = struct.Struct(f"<q{len(column_names)}d")
-        self._buffered: list[bytes] = []
-        self._motors = list(plant.motors.values())
+        # A row consists of an integer and of real numbers of the same size.
+        self._rows = np.zeros((_BUFFERED_ROW_COUNT, 1 + len(column_names)), "<f8")
+        self._times_ns = self._rows.view("<i8")[:, 0]
+        self._row_count = 0
         self._file = path.open("wb", buffering=0)
         self.due_ns = 0
         self.full = False
@@ -138,30 +138,16 @@ class TruthWriter:
         self.due_ns += PERIOD_NS
         if self.full:
             return
-        engine = plant.engine
-        self._buffered.append(
-            self._row_struct.pack(
-                t_ns,
-                *plant.tensions(),
-                *engine.q.tolist(),
-                *engine.dq.tolist(),
-                *[motor.theta for motor in self._motors],
-                *[motor.torque for motor in self._motors],
-                *plant.contact_forces(),
-                *engine.object_pose(),
-                engine.object_speed(),
-                *((plant.table.depth,) if plant.has_sinking_table and plant.table else ()),
-                *plant.measured_grip_forces(),
-                *plant.pair_tensions(),
-            )
-        )
-        if len(self._buffered) >= _BUFFERED_ROW_COUNT:
+        self._times_ns[self._row_count] = t_ns
+        np.concatenate(plant.true_state(), out=self._rows[self._row_count, 1:])
+        self._row_count += 1
+        if self._row_count >= _BUFFERED_ROW_COUNT:
             self.flush()
 
     def flush(self) -> None:
         """Write the collected rows to the file, unless the disk is full or the file has its largest size."""
-        data = b"".join(self._buffered)
-        self._buffered.clear()
+        data = self._rows[: self._row_count].tobytes()
+        self._row_count = 0
         disk = os.fstatvfs(self._file.fileno())
         free_bytes = disk.f_bavail * disk.f_frsize
         has_space = (

@@ -92,6 +92,7 @@ class Plant:
         self._antagonist = {
             i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_tendons_of_pairs)
         }
+        self._tendons_of_pairs = np.array(list(self._antagonist.items()), np.int64).ravel()
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
         }
@@ -116,6 +117,9 @@ class Plant:
         self._sink_direction = sink_direction(hand.gravity)
         self.table = self._build_table(scene.support, is_compiled) if scene.support else None
         self.contact_forces = self.engine.make_force_reader(
+            "contact", [digit.name for digit in hand.digits]
+        )
+        self._contact_sensors = self.engine.force_components(
             "contact", [digit.name for digit in hand.digits]
         )
         self.load = scene.load
@@ -407,15 +411,51 @@ class Plant:
         For a spool pair, the result contains a single value, the difference between the tensions of
         its two tendons.
         """
-        cell_tensions = self.cells().tolist()
-        net_tensions = [float(tension) for tension in cell_tensions[: len(self.hand.tendons)]]
-        for i, antagonist in self._antagonist.items():
-            net_tensions[i] -= cell_tensions[antagonist]
+        tensions: list[float] = self._net_tensions(self.cells()).tolist()
+        return tensions
+
+    def _net_tensions(self, cell_tensions: Any) -> Any:
+        """Return the tension of each tendon or spool pair of the hand [N], given the tensions at all load cells."""
+        net_tensions = cell_tensions[: len(self.hand.tendons)]
+        if self._antagonist:
+            net_tensions = net_tensions.copy()
+            net_tensions[self._tendons_of_pairs[::2]] -= cell_tensions[len(net_tensions) :]
         return net_tensions
+
+    def true_state(self) -> list[Any]:
+        """Return arrays with the values of a row of the truth file, in the order of its columns.
+
+        The function ``truth_file.truth_columns`` describes the columns.
+        """
+        engine = self.engine
+        cell_tensions = self.cells()
+        arrays = [
+            self._net_tensions(cell_tensions),
+            engine.q,
+            engine.dq,
+            *self._rotor_state(),
+            -engine.sensed[self._contact_sensors],
+            engine.object_pose_array,
+            (engine.object_speed(),),
+        ]
+        if self.has_sinking_table and self.table:
+            arrays.append((self.table.depth,))
+        if self.load:
+            arrays.append(self.measured_grip_forces())
+        if self._antagonist:
+            arrays.append(cell_tensions[self._tendons_of_pairs])
+        return arrays
+
+    def _rotor_state(self) -> tuple[Any, Any]:
+        """Return the spool angle [rad] and the torque [N m] of each motor."""
+        rotors = self._drivetrain[-1]
+        if self._bodies:
+            return rotors["theta"], rotors["torque"]
+        return [motor.theta for motor in rotors], [motor.torque for motor in rotors]
 
     def pair_tensions(self) -> list[float]:
         """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""
         if not self._antagonist:
             return []
-        cell_tensions = self.cells().tolist()
-        return [float(cell_tensions[i]) for pair in self._antagonist.items() for i in pair]
+        pair_tensions: list[float] = self.cells()[self._tendons_of_pairs].tolist()
+        return pair_tensions

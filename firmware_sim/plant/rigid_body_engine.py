@@ -4,6 +4,7 @@ In the package ``plant``, only this module and the camera use MuJoCo.
 """
 
 import ctypes
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
 from firmware_sim.plant.mjcf import MAX_CONTACTS
+
+_POSE_WITHOUT_OBJECT = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""Pose of the object in a scene without an object."""
 
 
 class RigidBodyEngine:
@@ -67,7 +71,13 @@ class RigidBodyEngine:
 
         Without an object, the pose is the origin.
         """
-        return self._object.tolist() if self.has_object else [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+        pose: list[float] = self.object_pose_array.tolist()
+        return pose
+
+    @property
+    def object_pose_array(self) -> Any:
+        """Return ``object_pose`` as an array, which can be MuJoCo's own memory."""
+        return self._object if self.has_object else _POSE_WITHOUT_OBJECT
 
     def copy_pose(self, data: Any) -> None:
         """Copy the positions of all bodies into the data of another model of the same hand and scene."""
@@ -76,7 +86,10 @@ class RigidBodyEngine:
 
     def object_speed(self) -> float:
         """Return the speed of the centre of the object [m/s]. If there is no object, return 0."""
-        return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
+        if not self.has_object:
+            return 0.0
+        velocity = self._object_velocity[:3]
+        return math.sqrt(velocity.dot(velocity))
 
     def make_force_reader(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the contact forces on the digits [N].
@@ -90,17 +103,25 @@ class RigidBodyEngine:
             Function without arguments. The function returns the force on each digit in the palm
             frame: x, y, z of the first digit, then of the next digit.
         """
-        index = np.array(
+        index = self.force_components(sensor_kind, digits)
+        data = self._data.sensordata
+        # The sensor measures the force that the first body (the digit) exerts on the second body.
+        # The code therefore changes the sign of the measured force, to get the force on the digit.
+        return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
+
+    def force_components(self, sensor_kind: str, digits: list[str]) -> Any:
+        """Return the index in ``sensed`` of each component of the forces on the digits, shape (3 digits,).
+
+        The forces in ``sensed`` have the opposite sign of the forces on the digits. See
+        ``make_force_reader``.
+        """
+        return np.array(
             [
                 address + axis
                 for address in self.force_indices(sensor_kind, digits)
                 for axis in range(3)
             ]
         )
-        data = self._data.sensordata
-        # The sensor measures the force that the first body (the digit) exerts on the second body.
-        # The code therefore changes the sign of the measured force, to get the force on the digit.
-        return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
         """Return, for each digit, the index in ``sensed`` of the first component of its force.
