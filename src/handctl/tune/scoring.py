@@ -4,6 +4,7 @@ A score is calculated from the differences between the goals of an exercise and 
 the simulator.
 """
 
+import functools
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -112,9 +113,13 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and score_job.get("must_keep_margins", False):
         return _score_table(_failed_score(0.0, "margins", shortfall))
+    program = _exercise_of_hand(score_job["hand"])
     runs = []
     for i, factors in enumerate(plants):
-        runs.append(score_exercise(hand, model, factors, int(score_job["seed"]) + i))
+        ticks_and_truth = simulate_program(
+            hand, model, program, factors, int(score_job["seed"]) + i
+        )
+        runs.append(score_run(hand, *ticks_and_truth))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
     # In a root mean square over plants, the worst plants have the largest weight.
@@ -150,10 +155,23 @@ def commissioning_failure(score_job: Mapping[str, Any]) -> str:
 
 def _job_hand_and_model(score_job: Mapping[str, Any]) -> tuple[Hand, HandModel]:
     """Return the hand of a job, and the model of this hand with the gains of the job."""
-    hand = hand_from_content(tomllib.loads(score_job["hand"]), "the hand of the search")
+    hand = _parsed_hand(score_job["hand"])
     # A job from another process contains lists in place of tuples.
     gains = validate_content(score_job["gains"], Gains, "the gains of the search")
     return hand, HandModel.from_hand(hand, gains, float(score_job["rate_hz"]))
+
+
+# All jobs of a search have the same hand, so the results of the next two functions are cached.
+@functools.lru_cache(maxsize=4)
+def _parsed_hand(hand_text: str) -> Hand:
+    """Return the hand that the text of a hand file describes."""
+    return hand_from_content(tomllib.loads(hand_text), "the hand of the search")
+
+
+@functools.lru_cache(maxsize=4)
+def _exercise_of_hand(hand_text: str) -> ExerciseProgram:
+    """Return the exercise for the hand that the text of a hand file describes."""
+    return ExerciseProgram.for_hand(_parsed_hand(hand_text))
 
 
 def _score_table(score: GainScore) -> dict[str, Any]:
