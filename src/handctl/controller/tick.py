@@ -113,7 +113,8 @@ class DerivedConstants:
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without SYNC frames for the
             sensor node, the host sends SYNC after the command of a CiA 402 drive.
-        sync_row: SYNC frame of the sensor node as a record.
+        frame_template: rows for the frames of a tick. Row 0 contains the SYNC frame of the sensor node,
+            and all other rows are empty.
         fault_evidence: (faults, instances) memory for the evidence of each fault. Each tick
             overwrites the evidence of the last tick.
     """
@@ -127,7 +128,7 @@ class DerivedConstants:
     drive_index_by_id: dict[tuple[int, int], int]
     amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
-    sync_row: WordRows
+    frame_template: WordRows
     fault_evidence: EvidenceTable
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
@@ -145,13 +146,20 @@ class DerivedConstants:
     ) -> "DerivedConstants":
         """Compute the constants that follow from a hand, its drives, its sensors and the safety thresholds."""
         layout = layout_of_state(model, len(sensors.ids))
-        closes_position_loop = constants.layout.view(constants.block, "servo").astype(bool).tolist()
+        wire_tables = WireTables(
+            drives,
+            sensors,
+            constants.layout.view(constants.block, "servo").astype(bool).tolist(),
+            model.torque_gain,
+        )
+        frame_template = np.zeros((wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
+        frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
         return DerivedConstants(
             limits=limits,
             layout=layout,
             constants=constants,
             kernel_constants=(constants.block, constants.layout.offsets),
-            wire_tables=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
+            wire_tables=wire_tables,
             copy_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
@@ -164,7 +172,7 @@ class DerivedConstants:
                 for can_id in (*amplifier.service_ids, *amplifier.tpdo_ids)
             },
             sends_sync=bool(sensors.ids),
-            sync_row=frames_as_records([sensors.sync(0)]).rows[0],
+            frame_template=frame_template,
             fault_evidence=empty_evidence(layout),
         )
 
@@ -728,15 +736,12 @@ class Controller:
         if mode in _MODES_WITHOUT_COMMANDS:
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         derived_constants = self.derived_constants
-        frame_rows = np.empty(
-            (derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
-        )
+        frame_rows = derived_constants.frame_template.copy()
         # A hand without sensors needs no SYNC frame, so row 0 is not sent.
         first_sent_row = 0 if derived_constants.sends_sync else 1
         amplifiers = state.decisions.amplifiers
         if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
-            frame_rows[0] = derived_constants.sync_row
             frame_rows[0, FIRST_PAYLOAD_WORD] = counter
             state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing

@@ -30,9 +30,8 @@ def predict_filter_states(
     first_place = layout.start("tendon")
     states = block[first_place : first_place + 7 * n]
     inputs = block[first_place + 7 * n : first_place + 9 * n]
-    F, B = model.filter_design.transition(
-        layout.table(block, "tendon_int")[s.FILTER_KIND].tobytes()
-    )
+    first_kind = layout.start("tendon_int") + n * s.FILTER_KIND
+    F, B = model.filter_design.transition(block[first_kind : first_kind + n].tobytes())
     x = predict_steadystate(states, F, inputs, B)
     if missed_ticks:
         constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))
