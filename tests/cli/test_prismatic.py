@@ -331,6 +331,10 @@ def test_fingers_of_unlike_actuation_grasp_in_their_first_demo(
     hand_file = HAND_FILE_FOLDER / "unlike_fingers.toml"
     words = ["--hand", str(hand_file), "--seed", str(seed), "--json"]
     assert main(["demo", "--lockstep", *words]) == 0
-    result = json.loads(capsys.readouterr().out)
+    output = capsys.readouterr()
+    # One notice names the reduced forces, and one names a finger for which no force is small enough.
+    assert "anta_flex" in output.err
+    assert "leave long_base a gain margin" in output.err
+    result = json.loads(output.out)
     assert result["table_sunk_mm"] > 50.0
     assert result["object_slid_mm"] < MAX_SLIP_MM

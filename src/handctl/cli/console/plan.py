@@ -148,8 +148,13 @@ def default_gains(
             f"gain motion.force_N: {forces_text} instead of the packaged {packaged_force:g} N, "
             f"for a gain margin of {MIN_GAIN_MARGIN_DB:g} dB at {rate:g} Hz"
         )
-    elif show_force:
+    if show_force:
+        # A digit keeps the packaged force if no smaller force gives it a sufficient margin.
         name, margin_db = margin_gains.smallest_gain_margin(hand, hand_gains, rate)
+        force_of_tendon = {
+            tendon_gains.name: tendon_gains.motion_force_N for tendon_gains in hand_gains.tendon
+        }
+        force = force_of_tendon.get(name) or force
         if margin_db < margin_gains.MIN_PACKAGED_MARGIN_DB:
             print_notice(
                 f"gain motion.force_N: {force:g} N leave {name} a gain margin of {margin_db:.1f} dB, no smaller value "
