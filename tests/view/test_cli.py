@@ -47,6 +47,8 @@ def test_a_cut_log_is_shown_with_a_warning(
         (["--picture", "no/such/folder/x.png"], "in a folder that exists"),
         (["--at", "1"], "--picture FILE.png"),
         (["--save", "x.rrd", "--follow"], "one of them"),
+        (["other.mcap", "--save", "x.rrd"], "one log"),
+        (["folder/run.mcap"], "different file names"),
     ],
 )
 def test_impossible_requests_are_refused_before_the_log_is_read(

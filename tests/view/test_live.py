@@ -111,6 +111,52 @@ def test_live_view_ends_with_its_viewer(
         recorder.close("finished")
 
 
+FOLLOW_TWO_LOGS = """
+import sys
+from pathlib import Path
+from handctl.view.log_follower import follow_logs
+follow_logs([Path(name) for name in sys.argv[1:]], ["--headless", "--window-size", "400x300"])
+"""
+
+
+def test_two_growing_logs_arrive_in_one_viewer(
+    tmp_path: Path, vulkan_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two hands run at the same time, and one viewer shows both runs."""
+    import synthetic_run
+    from rerun.experimental import ViewerClient
+
+    for name, value in vulkan_environment.items():
+        monkeypatch.setenv(name, value)
+    hand_by_log = {tmp_path / "left.mcap": "jamia", tmp_path / "right.mcap": "t42"}
+    headers = [synthetic_run.synthetic_header(hand, rate_hz=100) for hand in hand_by_log.values()]
+    recorders = [
+        Recorder.start(path, header) for path, header in zip(hand_by_log, headers, strict=True)
+    ]
+    follower = subprocess.Popen([sys.executable, "-c", FOLLOW_TWO_LOGS, *map(str, hand_by_log)])
+    viewers: list[psutil.Process] = []
+    try:
+        for recorder, header in zip(recorders, headers, strict=True):
+            for tick_in, out in synthetic_run.SyntheticRunTicks(header, 1.0):
+                recorder.send_record(pack_tick_record(tick_in, out))
+        client = ViewerClient.connect(viewer_url(follower))
+        viewers = psutil.Process(follower.pid).children()
+        for recorder in recorders:
+            recorder.close("finished")
+        assert follower.wait(VIEWER_TIMEOUT_S) == 0
+        recordings = client.get_state().recordings
+        assert sorted(str(recording.store_id) for recording in recordings) == [
+            "Recording:handctl_jamia:left",
+            "Recording:handctl_t42:right",
+        ]
+        for recording in recordings:
+            assert max(line.end for line in recording.timelines) >= 900_000_000
+    finally:
+        follower.kill()
+        for process in viewers:
+            process.kill()
+
+
 def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
     follower = start_live_view(tmp_path / "never.mcap", "--headless")
     time.sleep(2.0)

@@ -55,9 +55,9 @@ def main() -> int:
 
         if "--headless" not in arguments:
             check_screen_exists()
-        from handctl.view.log_follower import follow_log
+        from handctl.view.log_follower import follow_logs
 
-        follow_log(log, arguments, stop)
+        follow_logs([log], arguments, stop)
     except HandctlError as error:
         # A HandctlError always has a printable message.
         print(f"handctl view: {error}", file=sys.stderr)

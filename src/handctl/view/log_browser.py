@@ -1,4 +1,4 @@
-"""Display of a log in a viewer.
+"""Display of one or several logs in a viewer.
 
 The first seconds of the run are visible before the whole log has been sent.
 """
@@ -32,8 +32,9 @@ def browse_log(
     viewer_arguments: Sequence[str],
     environment: dict[str, str],
     scan: RecordScan | None = None,
+    further_runs: Sequence[tuple[Path, RunInfo]] = (),
 ) -> Iterator[Viewer]:
-    """Open a viewer, and send a whole log to the viewer.
+    """Open a viewer, and send whole logs to the viewer.
 
     At the end of the context, the viewer is closed.
 
@@ -43,9 +44,11 @@ def browse_log(
         viewer_arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
         scan: list of the log's records, if the records have been scanned already.
+        further_runs: paths of further logs, and data about their runs. The viewer lists each log as
+            a recording.
 
     Yields:
-        the viewer, after the whole log was sent.
+        the viewer, after all logs were sent.
 
     Raises:
         LogError: the log is damaged. If the log is damaged, the viewer shows the part before the
@@ -63,6 +66,9 @@ def browse_log(
         first_parts = list(islice(chunk_lists, 2))
         viewer_process = starting_viewer.wait_until_ready()
         _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, chunk_lists)))
+        for further_path, further_run in further_runs:
+            chunk_lists = chunks_of_run_by_part(further_path, further_run, FIRST_SLICE_DURATION_NS)
+            _send_chunks(viewer_process, further_run, chain.from_iterable(chunk_lists))
         yield viewer_process
 
 

@@ -1,4 +1,4 @@
-"""Live display of a run, which reads the growing log and sends new chunks to a viewer."""
+"""Live display of one or several runs, which reads the growing logs and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -85,18 +85,20 @@ class LogFollower:
         self._folder.cleanup()
 
 
-def follow_log(
-    log: Path, viewer_arguments: Sequence[str] = (), stop: TerminationFlag | None = None
+def follow_logs(
+    logs: Sequence[Path], viewer_arguments: Sequence[str] = (), stop: TerminationFlag | None = None
 ) -> None:
-    """Open a viewer, and show a growing log until the log ends.
+    """Open a viewer, and show growing logs until all logs end.
+
+    The viewer lists each log as a recording.
 
     Args:
-        log: path of the log. The log file may be created later.
+        logs: paths of the logs. The log files may be created later.
         viewer_arguments: further command-line arguments of the viewer.
         stop: flag that is set to end the display early.
 
     Raises:
-        LogError: the log does not appear in time or is damaged.
+        LogError: a log does not appear in time or is damaged.
         ConfigError: the desktop session has no screen on which a viewer could open.
         HandctlError: the viewer does not start.
     """
@@ -104,34 +106,43 @@ def follow_log(
     if not is_headless:
         check_screen_exists()
     stop = stop or TerminationFlag()
-    run = _wait_for_header(log, stop)
-    if run is None:
+    runs = [run for log in logs if (run := _wait_for_header(log, stop)) is not None]
+    if len(runs) < len(logs):
         return
     viewer_process = start_viewer(
         ["--expect-data-soon", *viewer_arguments], software_vulkan() if is_headless else {}
     )
-    follower = LogFollower(log, run, viewer_process.url)
+    followers: list[LogFollower] = []
     try:
-        _follow_until_end(follower, viewer_process, stop)
-        follower.send_new_chunks()
+        for log, run in zip(logs, runs, strict=True):
+            followers.append(LogFollower(log, run, viewer_process.url))
+        _follow_until_end(followers, viewer_process, stop)
+        for follower in followers:
+            follower.send_new_chunks()
     except KeyboardInterrupt:
         return
     finally:
-        follower.close()
+        for follower in followers:
+            follower.close()
 
 
-def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
-    """Send new chunks until the log ends or stops growing.
+def _follow_until_end(
+    followers: Sequence[LogFollower], running_viewer: Viewer, stop: TerminationFlag
+) -> None:
+    """Send new chunks until each log ends or stops growing.
 
     The loop also ends after a stop request, or when the user closes the viewer.
     """
-    last_chunk_time = time.monotonic()
-    while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:
+    last_chunk_times = dict.fromkeys(followers, time.monotonic())
+    while last_chunk_times and not stop.requested and running_viewer.process.poll() is None:
         start = time.monotonic()
-        if follower.send_new_chunks():
-            last_chunk_time = start
-        elif start - last_chunk_time > NO_GROWTH_TIMEOUT_S:
-            return
+        for follower, last_chunk_time in list(last_chunk_times.items()):
+            if follower.has_log_ended:
+                del last_chunk_times[follower]
+            elif follower.send_new_chunks():
+                last_chunk_times[follower] = start
+            elif start - last_chunk_time > NO_GROWTH_TIMEOUT_S:
+                del last_chunk_times[follower]
         # After a slow transfer of chunks, the pause before the next transfer is shorter. Even the
         # shortest pause leaves processor time to other programs.
         time.sleep(max(LOG_CHECK_PERIOD_S - (time.monotonic() - start), LOG_CHECK_PERIOD_S / 4))

@@ -56,6 +56,8 @@ EXPORT_FORMATS = {
 def view(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``view``."""
     parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
+    text = "further logs for the same viewer, for example of a second hand"
+    parser.add_argument("further_logs", type=Path, nargs="*", metavar="LOG", help=text)
     parser.add_argument(
         "--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing"
     )

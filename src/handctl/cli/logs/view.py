@@ -21,14 +21,19 @@ def run(args: argparse.Namespace) -> int:
     )  # hide the log lines of Rerun itself, because handctl reports the errors
     _check_options(args)
     if args.follow:
-        from handctl.view.log_follower import follow_log
+        from handctl.view.log_follower import follow_logs
 
-        follow_log(args.log)
+        follow_logs([args.log, *args.further_logs])
         return ExitCode.DONE
     from handctl.log.read.reader import RunLog
     from handctl.report.truth_record import find_truth
     from handctl.view.scene.run_info import RunInfo
 
+    further_runs = []
+    for path in args.further_logs:
+        with RunLog(path, verify_checksums=False) as log:
+            run_info = RunInfo.from_header(log.header, path.stem)
+            further_runs.append((path, replace(run_info, truth=find_truth(None, path, log))))
     with RunLog(args.log, verify_checksums=False) as log:
         run_info = replace(
             RunInfo.from_header(log.header, args.log.stem),
@@ -45,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             result = _write_files(args, run_info, picture_time_s)
     else:
         result = {}
-        _show_in_viewer(args.log, run_info, scan)
+        _show_in_viewer(args.log, run_info, scan, further_runs)
     if args.json:
         print_json(
             result | {"log": args.log, "warning": warning, "note": run_info.missing_mesh_note}
@@ -78,6 +83,12 @@ def _check_options(args: argparse.Namespace) -> None:
 
     if args.follow and (args.save or args.picture):
         raise ConfigError("together with --save or --picture", "--follow", "one of them")
+    if args.further_logs and (args.save or args.picture):
+        raise ConfigError("several logs", "--save, --picture", "one log")
+    names = [path.stem for path in (args.log, *args.further_logs)]
+    if len(set(names)) < len(names):
+        # The viewer would show two logs with the same name as a single recording.
+        raise ConfigError(", ".join(names), "LOG", "logs with different file names")
     if args.at is not None and not args.picture:
         raise ConfigError("without --picture", "--at", "--picture FILE.png")
     for option, path, suffix in (
@@ -132,11 +143,13 @@ def _draw_picture(
     return {"png": args.picture, "at_s": picture_time_s, "reports": reports}
 
 
-def _show_in_viewer(log: Path, run_info: Any, record_scan: Any) -> None:
-    """Open the viewer, send the log to the viewer, and wait until the user closes the viewer."""
+def _show_in_viewer(
+    log: Path, run_info: Any, record_scan: Any, further_runs: list[tuple[Path, Any]]
+) -> None:
+    """Open the viewer, send all logs to the viewer, and wait until the user closes the viewer."""
     from handctl.view.log_browser import browse_log
 
-    with browse_log(log, run_info, [], {}, record_scan) as viewer_process:
+    with browse_log(log, run_info, [], {}, record_scan, further_runs) as viewer_process:
         try:
             viewer_process.process.wait()
         except KeyboardInterrupt:
