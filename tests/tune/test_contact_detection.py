@@ -19,6 +19,7 @@ from handctl.tune.identify.contact_detection import (
     are_joints_moving,
     steepest_ramp,
 )
+from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
@@ -45,10 +46,22 @@ def write_near_thumb_hand(hand_name: str, thumb_shift_mm: int, hand_folder: Path
 
 
 def identify_touching_finger(
-    hand_name: str, thumb_shift_mm: int, seed: int, hand_folder: Path
+    hand_name: str,
+    thumb_shift_mm: int,
+    seed: int,
+    hand_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> dict[str, TendonResult]:
-    """Identify a middle finger that touches the thumb during its sweeps, and return the results."""
+    """Identify a middle finger that touches the thumb during its sweeps, and return the results.
+
+    The sweeps are those of the packaged hand. The sweeps for the near thumb would end before a
+    contact.
+    """
     path = write_near_thumb_hand(hand_name, thumb_shift_mm, hand_folder)
+    steps_of_packaged_hand = excitation_steps(load_hand(hand_name), ("middle",))
+    monkeypatch.setattr(
+        "benchmarks.identify.excitation_steps", lambda hand, digits: steps_of_packaged_hand
+    )
     results, row = excite_and_fit(
         path, "middle", seed, {"spring": SPRING_STIFFNESS_FACTOR}, Gains(), hand_folder
     )
@@ -68,13 +81,13 @@ QUICK_UNDISTURBED_CASES = {("jamia", 5)}
     [case for case in NEAR_THUMB_CASES if NIGHTLY or case in QUICK_NEAR_THUMB_CASES],
 )
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
-    tmp_path: Path, hand: str, thumb_shift_mm: int, seed: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hand: str, thumb_shift_mm: int, seed: int
 ) -> None:
     """Reproduce a defect: the identification accepted the values 1.41 and 1.73 of a spring parameter without a message.
 
     The true value of the spring parameter is 1.2.
     """
-    fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path)
+    fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
     for result in fits.values():
         assert result.contact_text or result.blocked_event_text
         assert not set(result.identified_names) & set(SWEEP_PARAMETERS)

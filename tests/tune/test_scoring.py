@@ -15,8 +15,15 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
+from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.tune.loops.step_tests import StepExercise
-from handctl.tune.scoring import MAX_HELD_S, evaluate_job, score_exercise, simulate_program
+from handctl.tune.scoring import (
+    MAX_HELD_S,
+    evaluate_job,
+    score_exercise,
+    score_run,
+    simulate_program,
+)
 from handctl.tune.search.ensemble import sample_ensemble
 
 
@@ -62,13 +69,16 @@ def test_digits_that_touch_each_other_are_not_scored(
 ) -> None:
     """Reproduce a defect: when two digits blocked each other, the scoring reported only a tracking error.
 
-    The tracking error of the blocked digits was 6 to 8 deg.
+    The tracking error of the blocked digits was 6 to 8 deg. With the exercise for this hand, the
+    digits do not touch each other.
     """
     file = tmp_path / "mine.toml"
     words = ["--fingers", "1", "--opposed", "1", "--links", link_lengths_mm, "--tendons", "each"]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
     hand = load_hand(str(file))
-    score = score_exercise(hand, HandModel.from_hand(hand, Gains(), 400.0), {}, seed)
+    model = HandModel.from_hand(hand, Gains(), 400.0)
+    assert score_exercise(hand, model, {}, seed).blocked == ""
+    score = score_run(hand, *simulate_program(hand, model, ExerciseProgram(), {}, seed))
     assert score.failure == ""
     assert score.blocked == "index, thumb"
     assert score.tracking_deg < 2.0
