@@ -305,7 +305,8 @@ def _digit_goal(
     model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     """Return the goal of digit d in a stage of the exercise."""
-    if stage.digits and model.hand.digit_names[d] not in stage.digits:
+    name = model.hand.digit_names[d]
+    if stage.digits and name not in stage.digits and name not in model.hand.carrier_digits:
         return _goal_of_open_digit(model, d, stage, estimate, t)
     if not math.isnan(stage.angle):
         digit = model.digits[d]
