@@ -97,7 +97,7 @@ def test_a_run_that_faults_hold_ends_early() -> None:
     A fault held the simulated hand, and the time of a program does not advance during a hold.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / "pairs_and_springs.toml")
-    model = HandModel.from_hand(hand, Gains.model_validate({"motion": {"force_N": 7.0}}), 500.0)
+    model = HandModel.from_hand(hand, Gains.model_validate({"motion": {"force_N": 5.0}}), 500.0)
     ticks, _, failure = simulate_program(hand, model, StepExercise(), {}, seed=0)
     assert failure.startswith(f"held for {MAX_HELD_S:g} s by N07")
     assert len(ticks) < 10.0 / model.period

@@ -81,6 +81,8 @@ class ExerciseStage:
             limit.
         digits: names of the moved digits. All other digits stay open. If the tuple is empty, all
             digits move.
+        sideways_fraction: target angle of the joints that move a digit sideways, as a fraction of
+            ``angle``.
     """
 
     name: str
@@ -90,6 +92,7 @@ class ExerciseStage:
     rest: float = REST_DURATION_S
     tension_rate: float = math.inf
     digits: tuple[str, ...] = ()
+    sideways_fraction: float = SIDEWAYS_FRACTION
 
 
 def move_amplitude(angle: float) -> float:
@@ -272,13 +275,17 @@ def _clear_amplitude(hand: Hand, digit_names: tuple[str, ...]) -> float:
     return round(steps * AMPLITUDE_STEP, 2)
 
 
-def _coordinate_scales(digit: DigitModel) -> Vector:
+def _coordinate_scales(digit: DigitModel, sideways_fraction: float = SIDEWAYS_FRACTION) -> Vector:
     """Return the ratio (n_c,) between the target of each coordinate and the angle of a move.
 
     For a prismatic joint, 1 rad stands for 10 mm.
+
+    Args:
+        digit: model of the digit.
+        sideways_fraction: ratio for the joints that move the digit sideways.
     """
     return np.asarray(
-        digit.coordinate_units.scale * np.where(digit.sideways_coordinates, SIDEWAYS_FRACTION, 1.0)
+        digit.coordinate_units.scale * np.where(digit.sideways_coordinates, sideways_fraction, 1.0)
     )
 
 
@@ -310,7 +317,7 @@ def _digit_goal(
         return _goal_of_open_digit(model, d, stage, estimate, t)
     if not math.isnan(stage.angle):
         digit = model.digits[d]
-        goal_coordinate = stage.angle * _coordinate_scales(digit)
+        goal_coordinate = stage.angle * _coordinate_scales(digit, stage.sideways_fraction)
         return goal_to_move_to_angle(
             digit, estimate, goal_coordinate, stage.duration - stage.rest, t
         )

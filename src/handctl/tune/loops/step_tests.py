@@ -74,10 +74,15 @@ class StepExercise(ExerciseProgram):
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
         """Return all stages of the exercise in order."""
+        # The angles are so small that no fingers touch each other if they also move sideways.
         return (
-            ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
+            ExerciseStage("settle", 0.5, HOME_ANGLE_RAD, sideways_fraction=1.0),
             ExerciseStage(
-                "move", 0.1 + REST_DURATION_S, HOME_ANGLE_RAD + ANGLE_STEP_RAD, rest=REST_DURATION_S
+                "move",
+                0.1 + REST_DURATION_S,
+                HOME_ANGLE_RAD + ANGLE_STEP_RAD,
+                rest=REST_DURATION_S,
+                sideways_fraction=1.0,
             ),
             ExerciseStage("close", 0.8, tension=HOLD_TENSION_N),
             ExerciseStage("hold", REST_DURATION_S, tension=HOLD_TENSION_N + TENSION_STEP_N),
