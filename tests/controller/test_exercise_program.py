@@ -1,15 +1,11 @@
 """Test the goals of each digit in each stage of the exercise program."""
 
-import mujoco
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.digit import DigitModel
-from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.gains_exercise import (
     FULL_MOVE_RAD,
@@ -21,6 +17,7 @@ from handctl.programs.gains_exercise import (
 from handctl.tune.scoring import score_exercise
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
+from tests.hand.link_contacts import LinkContacts
 
 FULL_EXERCISE = ExerciseProgram()
 StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
@@ -131,24 +128,12 @@ def test_the_digits_of_a_hand_exercise_without_a_contact(hand_name: str) -> None
     """In the moves of the exercise, the links of different digits do not touch in MuJoCo's model of the hand."""
     hand = load_hand(hand_name)
     program = ExerciseProgram.for_hand(hand)
-    mujoco_model = mujoco.MjModel.from_xml_string(mjcf_text(hand))
-    mujoco_data = mujoco.MjData(mujoco_model)
-    palm = mujoco_model.body("palm").id
-    open_angles = np.clip(np.zeros(len(hand.joints)), *hand.joint_limits)
-
-    def contact_pairs(q: NDArray[np.float64]) -> set[tuple[int, int]]:
-        mujoco_data.qpos[: len(q)] = q
-        mujoco.mj_forward(mujoco_model, mujoco_data)
-        pairs = set(map(tuple, mujoco_data.contact.geom.tolist()))
-        return {pair for pair in pairs if palm not in mujoco_model.geom_bodyid[list(pair)]}
-
-    # Some neighbouring links of a packaged hand overlap in every posture.
-    neighbours = contact_pairs(open_angles)
+    contacts = LinkContacts(hand)
     angle = HOME_ANGLE_RAD + program.amplitudes[0] * FULL_MOVE_RAD
     all_digits = tuple(name for name in hand.digit_names if name not in hand.carrier_digits)
     for turn in program.turns or (all_digits,):
-        q = open_angles.copy()
+        q = contacts.open_angles.copy()
         for name in turn:
             digit = DigitModel.from_hand(hand, name)
             q[digit.joints] = digit.coupling @ (angle * _coordinate_scales(digit))
-        assert contact_pairs(q) <= neighbours, turn
+        assert contacts.new_contacts(q) == set(), turn

@@ -3,11 +3,9 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import mujoco
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.cli.tuning.tune_files import load_tuned_hand
@@ -20,7 +18,6 @@ from handctl.core.identified_parameters import (
 )
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
-from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import load_calibration, write_calibration
@@ -37,6 +34,7 @@ from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
 from handctl.tune.identify.identifiability import _lacks_needed_encoders, _reason_not_identified
 from handctl.tune.identify.identification_figure import _draw_parameters
 from handctl.tune.identify.identify import identify_tendons, result_table
+from tests.hand.link_contacts import LinkContacts
 
 SPRING_DIGIT_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that the identification estimates for digits with return springs."""
@@ -121,25 +119,13 @@ def test_a_sweep_ends_before_a_contact(hand_name: str) -> None:
     """In the posture at the end of a sweep, the links of the moved digit are away from the other digits."""
     hand = load_hand(hand_name)
     steps = [step for step in excitation_steps(hand, hand.digit_names) if step.name == "sweep"]
-    mujoco_model = mujoco.MjModel.from_xml_string(mjcf_text(hand))
-    mujoco_data = mujoco.MjData(mujoco_model)
-    palm = mujoco_model.body("palm").id
-    open_angles = np.clip(np.zeros(len(hand.joints)), *hand.joint_limits)
-
-    def contact_pairs(q: NDArray[np.float64]) -> set[tuple[int, int]]:
-        mujoco_data.qpos[: len(q)] = q
-        mujoco.mj_forward(mujoco_model, mujoco_data)
-        pairs = set(map(tuple, mujoco_data.contact.geom.tolist()))
-        return {pair for pair in pairs if palm not in mujoco_model.geom_bodyid[list(pair)]}
-
-    # Some neighbouring links of a packaged hand overlap in every posture.
-    neighbours = contact_pairs(open_angles)
+    contacts = LinkContacts(hand)
     for step in steps:
         digit = DigitModel.from_hand(hand, step.digit)
         coordinates = step.targets or (step.target,) * digit.coupling.shape[1]
-        q = open_angles.copy()
+        q = contacts.open_angles.copy()
         q[digit.joints] = digit.coupling @ np.array(coordinates)
-        assert contact_pairs(q) <= neighbours, step
+        assert contacts.new_contacts(q) == set(), step
 
 
 @pytest.mark.nightly

@@ -26,19 +26,13 @@ def run(args: argparse.Namespace) -> int:
         follow_logs([args.log, *args.further_logs])
         return ExitCode.DONE
     from handctl.log.read.reader import RunLog
-    from handctl.report.truth_record import find_truth
-    from handctl.view.scene.run_info import RunInfo
 
     further_runs = []
     for path in args.further_logs:
         with RunLog(path, verify_checksums=False) as log:
-            run_info = RunInfo.from_header(log.header, path.stem)
-            further_runs.append((path, replace(run_info, truth=find_truth(None, path, log))))
+            further_runs.append((path, _run_info(log, path, None)))
     with RunLog(args.log, verify_checksums=False) as log:
-        run_info = replace(
-            RunInfo.from_header(log.header, args.log.stem),
-            truth=find_truth(args.truth, args.log, log),
-        )
+        run_info = _run_info(log, args.log, args.truth)
         picture_time_s = _picture_time_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
@@ -56,6 +50,16 @@ def run(args: argparse.Namespace) -> int:
             result | {"log": args.log, "warning": warning, "note": run_info.missing_mesh_note}
         )
     return code
+
+
+def _run_info(log: Any, path: Path, truth_path: Path | None) -> Any:
+    """Return the data about the run of a log, with the true state of the run if its file exists."""
+    from handctl.report.truth_record import find_truth
+    from handctl.view.scene.run_info import RunInfo
+
+    return replace(
+        RunInfo.from_header(log.header, path.stem), truth=find_truth(truth_path, path, log)
+    )
 
 
 def _picture_time_s(args: argparse.Namespace, log: Any) -> float:
