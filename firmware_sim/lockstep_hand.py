@@ -12,7 +12,7 @@ from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.serial_numbers import with_serial_numbers
 from firmware_sim.simulated_world import make_world
-from firmware_sim.truth_file import TruthWriter
+from firmware_sim.truth_file import PERIOD_NS, TruthWriter
 from firmware_sim.wire.wire_options import parse_wire_options
 
 
@@ -34,6 +34,7 @@ class LockstepHand:
         scene: str | None = None,
         seed: int = 0,
         truth_path: str | None = None,
+        truth_period_ns: int = PERIOD_NS,
         perturb: dict[str, float] | None = None,
         period_ns: int = 2_000_000,
         homed: bool = False,
@@ -48,6 +49,7 @@ class LockstepHand:
                 None for a hand without an object.
             seed: seed of all random numbers: noise, initial slack and encoder offsets.
             truth_path: path of the truth file. If None, no truth file is written.
+            truth_period_ns: time from one row of the truth file to the next row [ns].
             perturb: factors that multiply plant parameters, see ``plant_perturbation.PERTURBATION_KEYS``.
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
@@ -70,7 +72,9 @@ class LockstepHand:
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
-            self._truth = TruthWriter(Path(truth_path), self.world.plant, header)
+            self._truth = TruthWriter(
+                Path(truth_path), self.world.plant, header, period_ns=truth_period_ns
+            )
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:

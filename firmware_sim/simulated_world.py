@@ -229,7 +229,7 @@ class SimulatedWorld:
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:
-        """Record the true state of the plant in a truth file, every millisecond of plant time."""
+        """Record the true state of the plant in a truth file, once per ``TruthWriter.period_ns`` of plant time."""
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:

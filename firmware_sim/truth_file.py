@@ -1,4 +1,4 @@
-"""The truth file: a record of the true state of the plant in every millisecond.
+"""The truth file: a record of the true state of the plant, by default in every millisecond.
 
 Tests compare the estimates of a controller with the truth file.
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
-"""Time from one row of the truth file to the next row [ns]."""
+"""Default time from one row of the truth file to the next row [ns]."""
 _HEADER_SIZE = 8192
 """Size of the header line [bytes]."""
 _BUFFERED_ROW_COUNT = 256
@@ -96,13 +96,19 @@ class TruthWriter:
     forces are those of the previous step of the plant, 0.5 ms earlier.
 
     Attributes:
+        period_ns: time from one row to the next row [ns].
         due_ns: plant time when the next row must be written [ns].
         full: True after the last row that fits into the file or on the disk. Later rows are
             discarded.
     """
 
     def __init__(
-        self, path: Path, plant: Plant, header: dict[str, object], max_bytes: int = sys.maxsize
+        self,
+        path: Path,
+        plant: Plant,
+        header: dict[str, object],
+        max_bytes: int = sys.maxsize,
+        period_ns: int = PERIOD_NS,
     ) -> None:
         """Create the truth file.
 
@@ -111,12 +117,14 @@ class TruthWriter:
             plant: plant whose true state is recorded.
             header: additional content of the header line.
             max_bytes: largest size of the file [bytes].
+            period_ns: time from one row to the next row [ns]. A row is written at the end of a time
+                step of the plant.
         """
         column_names = truth_columns(plant)
         self._header = {
             "columns": [name for name, _ in column_names],
             "units": [unit for _, unit in column_names],
-            "period_ns": PERIOD_NS,
+            "period_ns": period_ns,
             **header,
         }
         # A row consists of an integer and of real numbers of the same size.
@@ -124,6 +132,7 @@ class TruthWriter:
         self._times_ns = self._rows.view("<i8")[:, 0]
         self._row_count = 0
         self._file = path.open("wb", buffering=0)
+        self.period_ns = period_ns
         self.due_ns = 0
         self.full = False
         self._max_bytes = max_bytes
@@ -135,7 +144,7 @@ class TruthWriter:
 
     def write(self, t_ns: int, plant: Plant) -> None:
         """Write the present true state of the plant as a row."""
-        self.due_ns += PERIOD_NS
+        self.due_ns += self.period_ns
         if self.full:
             return
         self._times_ns[self._row_count] = t_ns

@@ -76,6 +76,8 @@ class SimulatorSettings:
         homed: True if the hand starts with taut tendons and zero encoder readings.
         truth: file to which the true values of the simulated hand are written. If ``truth`` is
             None, no truth file is written.
+        is_truth_once_per_tick: True to write the true values only at the times of the ticks. By
+            default, the true values are written in every millisecond.
         wire: words KEY=VALUE that describe a simulated wire with delays. If ``wire`` is None,
             frames arrive without delay.
         serials: serial numbers of the drives.
@@ -87,6 +89,7 @@ class SimulatorSettings:
     perturb: Mapping[str, float] | None = None
     homed: bool = False
     truth: Path | None = None
+    is_truth_once_per_tick: bool = False
     wire: Sequence[str] | None = None
     serials: Sequence[str] = ()
 
@@ -109,6 +112,7 @@ class SimulatorSettings:
                 scene=self._scene_file(Path(folder)),
                 seed=self.seed,
                 truth_path=str(self.truth) if self.truth else None,
+                **({"truth_period_ns": period_ns} if self.is_truth_once_per_tick else {}),
                 perturb=None if self.perturb is None else dict(self.perturb),
                 period_ns=period_ns,
                 homed=self.homed,

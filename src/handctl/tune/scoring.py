@@ -11,14 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, PackedTelemetry, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
@@ -218,7 +218,12 @@ def simulate_program(
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
         simulator = SimulatorSettings(
-            hand, seed=seed, perturb=plant_factors, homed=True, truth=file
+            hand,
+            seed=seed,
+            perturb=plant_factors,
+            homed=True,
+            truth=file,
+            is_truth_once_per_tick=True,
         )
         state = simulate_controller(
             homed_controller(model, program, hand),
@@ -264,8 +269,11 @@ def score_run(
     if failure_text or not active:
         return _failed_score(peak, failure_text or "never active")
     t_ns = np.array([t for t, _ in active])
+    # A controller packs the telemetry of each tick into one array, with the same layout in all ticks.
+    telemetry = [cast(PackedTelemetry, tick_output.telemetry) for _, tick_output in active]
+    numbers = np.array([packed.numbers for packed in telemetry])
     goal, tension_goal, torque = (
-        np.array([getattr(out.telemetry, name) for _, out in active])
+        numbers[:, telemetry[0].slices[name]]
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
     ground_truth = GroundTruth.from_record(truth, hand, t_ns)
