@@ -12,7 +12,7 @@ from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_simulator
-from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.real_clock import BUSY_WAIT_NS, RealClock
 from handctl.runtime.clocks.realtime_priority import GrantedPriority
 
 PERIOD_NS = 2_000_000
@@ -74,16 +74,44 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
     assert clock.wait(3) < 1000
 
 
-def test_the_clock_busy_waits_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    for spin, remaining_ns in ((True, 60_000), (False, 0)):
-        wall = FakeMonotonicClock(monkeypatch)
-        clock = RealClock(PERIOD_NS, 1.0, spin)
-        clock.start()
-        clock.wait(0)
-        wall.sleeps_s.clear()
-        clock.wait(1)
-        assert len(wall.sleeps_s) == 1
-        assert PERIOD_NS - wall.sleeps_s[0] * 1e9 == pytest.approx(remaining_ns, abs=5000)
+@pytest.mark.parametrize("delay_ns", [0, 30_000, 70_000])
+def test_the_clock_wakes_up_as_early_as_its_wake_ups_are_late(
+    monkeypatch: pytest.MonkeyPatch, delay_ns: int
+) -> None:
+    wall = FakeMonotonicClock(monkeypatch, delay_ns)
+    clock = RealClock(PERIOD_NS, busy_wait=True)
+    clock.start()
+    lateness_ns = [clock.wait(k) for k in range(200)]
+    assert max(lateness_ns[100:]) < 1000
+    busy_wait_ns = [PERIOD_NS - sleep_s * 1e9 - delay_ns for sleep_s in wall.sleeps_s[100:]]
+    assert busy_wait_ns == pytest.approx([BUSY_WAIT_NS] * 100, abs=5000)
+
+
+def test_a_single_late_wake_up_changes_the_next_one_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = FakeMonotonicClock(monkeypatch, 20_000)
+    clock = RealClock(PERIOD_NS, busy_wait=True)
+    clock.start()
+    for k in range(200):
+        clock.wait(k)
+    wall.overshoot_ns = PERIOD_NS // 2
+    assert clock.wait(200) > 0.4 * PERIOD_NS
+    wall.overshoot_ns = 20_000
+    assert clock.wait(201) < 1000
+    lead_ns = clock.wake_up_delay.expected_ns
+    assert 20_000 < lead_ns <= 1.25 * 21_000
+
+
+def test_a_clock_without_realtime_priority_sleeps_until_the_deadline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wall = FakeMonotonicClock(monkeypatch)
+    clock = RealClock(PERIOD_NS)
+    clock.start()
+    clock.wait(0)
+    wall.sleeps_s.clear()
+    clock.wait(1)
+    assert len(wall.sleeps_s) == 1
+    assert PERIOD_NS - wall.sleeps_s[0] * 1e9 == pytest.approx(0, abs=5000)
 
 
 def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatch) -> None:

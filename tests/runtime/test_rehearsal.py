@@ -13,7 +13,12 @@ import pytest
 from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.runtime.clocks.real_clock import RealClock
-from handctl.runtime.clocks.rehearsal import MARGIN_NS, MAX_PERIOD_SHARE, Rehearsal
+from handctl.runtime.clocks.rehearsal import (
+    MARGIN_NS,
+    MAX_PERIOD_SHARE,
+    SHORTEST_PERIOD_NS,
+    Rehearsal,
+)
 
 PERIOD_NS = 2_000_000
 TICK_NS = 70_000
@@ -87,17 +92,16 @@ def test_a_process_that_always_wakes_up_late_sleeps_for_a_shorter_time(
 def test_a_process_that_wakes_up_too_late_does_not_lose_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    period_ns = 1_000_000
-    wall = WallClock(monkeypatch, wake_up_delay_ns=57_000)
-    rehearsal = Rehearsal(wall.execute_tick, period_ns)
-    clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
+    wall = WallClock(monkeypatch, wake_up_delay_ns=190_000)
+    rehearsal = Rehearsal(wall.execute_tick, PERIOD_NS)
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=rehearsal)
     clock.start()
     for k in range(2000):
         clock.wait(k)
-    assert TICK_NS + wall.wake_up_delay_ns > MAX_PERIOD_SHARE * period_ns
+    assert TICK_NS + wall.wake_up_delay_ns > MAX_PERIOD_SHARE * PERIOD_NS
     lead_times_ns = []
     for k in range(2000, 4000):
-        lead_times_ns.append(rehearsal.lead_time_ns)
+        lead_times_ns.append(rehearsal.lead_time_ns(clock.wake_up_delay.expected_ns))
         clock.wait(k)
     assert sum(lead_ns > 0 for lead_ns in lead_times_ns) < 200, (
         "the process rarely wakes up earlier"
@@ -117,7 +121,7 @@ def test_a_long_first_step_leaves_the_second_step_out(monkeypatch: pytest.Monkey
     assert wall.executed_steps == steps + 1
 
 
-@pytest.mark.parametrize("period_ns", [500_000, 1_000_000])
+@pytest.mark.parametrize("period_ns", [SHORTEST_PERIOD_NS, PERIOD_NS])
 def test_no_rehearsal_takes_a_large_share_of_the_period(
     monkeypatch: pytest.MonkeyPatch, period_ns: int
 ) -> None:
@@ -131,6 +135,17 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
     assert len(wall.tick_starts_ns) < 1000, (
         "in few ticks the clock tries whether a rehearsal fits now"
     )
+
+
+@pytest.mark.parametrize("period_ns", [500_000, 1_000_000])
+def test_short_periods_have_no_rehearsals(monkeypatch: pytest.MonkeyPatch, period_ns: int) -> None:
+    wall = WallClock(monkeypatch)
+    wall.tick_ns = 10_000
+    rehearsal = Rehearsal(wall.execute_tick, period_ns)
+    clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
+    clock.start()
+    assert max(clock.wait(k) for k in range(10_000)) < 1000
+    assert not wall.tick_starts_ns
 
 
 def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,17 +7,25 @@ The module ``lockstep`` contains another clock, for virtual time.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
+from handctl.runtime.clocks.expected_time import ExpectedTime
 from handctl.runtime.clocks.rehearsal import Rehearsal
 
-BUSY_WAIT_NS = 60_000
+INITIAL_WAKE_UP_DELAY_NS = 50_000
+"""Assumed delay of the first wake-up [ns of wall time].
+
+``time.sleep`` returns 15 to 50 us late, even under SCHED_FIFO.
+"""
+BUSY_WAIT_NS = 20_000
 """Time before each deadline in which the process reads the clock in a loop [ns of wall time].
 
-Only a process with real-time priority reads the clock in a loop. The loop is necessary because
-``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
+Only a process with real-time priority reads the clock in a loop. If a wake-up takes longer than
+expected, the loop is shorter.
 """
+MAX_BUSY_WAIT_LEAD_NS = 100_000
+"""Longest time before a deadline at which the process wakes up to read the clock in a loop [ns of wall time]."""
 
 
 class TickClock(Protocol):
@@ -58,6 +66,7 @@ class RealClock:
             readings are useful only with real-time priority.
         rehearsal: rehearsal of each tick before its deadline, or None. A rehearsal is useful only
             with ``busy_wait``.
+        wake_up_delay: expected delay of the next wake-up of the process.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pause_count: number of pauses of the clock so far. Only the shared clock can pause.
         paused_ns: total duration of the clock's pauses [ns of wall time].
@@ -67,6 +76,9 @@ class RealClock:
     time_scale: float = 1.0
     busy_wait: bool = False
     rehearsal: Rehearsal | None = None
+    wake_up_delay: ExpectedTime = field(
+        default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
+    )
     start_ns: int = 0
     pause_count: int = 0
     paused_ns: int = 0
@@ -103,18 +115,22 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since the deadline [ns of wall time]."""
-        lead_ns = BUSY_WAIT_NS if self.busy_wait else 0
+        delay_ns = self.wake_up_delay.expected_ns
+        lead_ns = int(min(delay_ns + BUSY_WAIT_NS, MAX_BUSY_WAIT_LEAD_NS)) if self.busy_wait else 0
         rehearsal = self.rehearsal
-        if rehearsal:
-            lead_ns = max(lead_ns, rehearsal.lead_time_ns)
+        rehearsal_lead_ns = rehearsal.lead_time_ns(delay_ns) if rehearsal else 0
+        lead_ns = max(lead_ns, rehearsal_lead_ns)
         waiting_ns = deadline_ns - self._read_clock_ns() - lead_ns
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
-        if rehearsal:
+        if lead_ns:
             remaining_ns = deadline_ns - self._read_clock_ns()
             if waiting_ns > 0:
-                rehearsal.observe_wake_up(lead_ns - remaining_ns)
-            rehearsal.rehearse(remaining_ns)
+                self.wake_up_delay.follow(lead_ns - remaining_ns)
+            if rehearsal and rehearsal_lead_ns:
+                rehearsal.rehearse(remaining_ns)
+            elif rehearsal:
+                rehearsal.shorten_expected_duration()
         while (
             now := self._read_clock_ns()
         ) < deadline_ns:  # sleep can return too early, so the loop reads the clock again

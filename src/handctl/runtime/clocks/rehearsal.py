@@ -9,8 +9,15 @@ nothing.
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from handctl.runtime.clocks.expected_time import ExpectedTime
+
+SHORTEST_PERIOD_NS = 1_500_000
+"""Shortest control period with rehearsals [ns of wall time].
+
+At a control rate of 1 kHz, the caches still contain the last tick, and rehearsals do not shorten the ticks.
+"""
 MAX_PERIOD_SHARE = 1 / 8
 """Largest share of a control period that is reserved for the wake-up of the process and a rehearsal.
 
@@ -21,18 +28,8 @@ MARGIN_NS = 5_000
 """Time between the expected end of a rehearsal and the deadline [ns]."""
 INITIAL_DURATION_NS = 150_000
 """Assumed duration of the first rehearsal [ns]."""
-INITIAL_WAKE_UP_DELAY_NS = 30_000
-"""Assumed delay of the first wake-up [ns]."""
-RISE_SHARE = 1 / 4
-FALL_SHARE = 1 / 16
-"""Fractions of the difference between measured and expected time by which the expected time rises and falls."""
-MAX_GROWTH = 1.25
-"""Largest factor by which an expected time grows at once.
-
-An interruption by the operating system can make a single rehearsal or a single wake-up very long.
-"""
 RETRY_SHARE = 1 / 1024
-"""Share by which ``expected_ns`` falls in each tick for which a rehearsal takes too long.
+"""Share by which the expected duration falls in each tick for which a rehearsal takes too long.
 
 As a result, the clock sometimes tries whether a rehearsal has become shorter.
 """
@@ -46,27 +43,30 @@ class Rehearsal:
         execute_steps: function that executes two steps of the last tick again, and yields between
             them.
         period_ns: control period [ns of wall time].
-        expected_ns: expected duration of the next rehearsal [ns].
-        expected_delay_ns: expected delay of the next wake-up of the process [ns].
+        duration: expected duration of the next rehearsal.
     """
 
     execute_steps: Callable[[], Iterator[None]]
     period_ns: int
-    expected_ns: float = INITIAL_DURATION_NS
-    expected_delay_ns: float = INITIAL_WAKE_UP_DELAY_NS
+    duration: ExpectedTime = field(default_factory=lambda: ExpectedTime(INITIAL_DURATION_NS))
 
-    @property
-    def lead_time_ns(self) -> int:
+    def lead_time_ns(self, wake_up_delay_ns: float) -> int:
         """Return the time before a deadline at which the process must wake up for a rehearsal [ns].
 
-        If the lead time exceeds the permitted fraction of the control period, return 0.
+        If the lead time exceeds the permitted fraction of the control period, or if the control
+        period is too short for rehearsals, return 0.
+
+        Args:
+            wake_up_delay_ns: expected delay of the wake-up [ns].
         """
-        lead_ns = int(self.expected_delay_ns + self.expected_ns + MARGIN_NS)
+        if self.period_ns < SHORTEST_PERIOD_NS:
+            return 0
+        lead_ns = int(wake_up_delay_ns + self.duration.expected_ns + MARGIN_NS)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * self.period_ns else 0
 
-    def observe_wake_up(self, delay_ns: int) -> None:
-        """Store the delay of a wake-up, the difference between the planned and the actual time [ns]."""
-        self.expected_delay_ns = _follow_time(self.expected_delay_ns, delay_ns)
+    def shorten_expected_duration(self) -> None:
+        """Reduce the expected duration a little, because there is no time for a rehearsal in this tick."""
+        self.duration.expected_ns -= RETRY_SHARE * self.duration.expected_ns
 
     def rehearse(self, remaining_ns: int) -> None:
         """Execute two steps of the last tick again, if the time until the deadline is long enough.
@@ -77,10 +77,7 @@ class Rehearsal:
         Args:
             remaining_ns: time until the deadline [ns].
         """
-        if not self.lead_time_ns:
-            self.expected_ns -= RETRY_SHARE * self.expected_ns
-            return
-        if remaining_ns < self.expected_ns:
+        if remaining_ns < self.duration.expected_ns:
             return
         start_ns = time.monotonic_ns()
         for _ in self.execute_steps():
@@ -90,11 +87,4 @@ class Rehearsal:
                 break
         else:
             duration_ns = time.monotonic_ns() - start_ns
-        self.expected_ns = _follow_time(self.expected_ns, duration_ns)
-
-
-def _follow_time(expected_ns: float, measured_ns: float) -> float:
-    """Update an expected time with a measured time, and return the result. The result rises faster than it falls."""
-    difference_ns = measured_ns - expected_ns
-    share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
-    return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)
+        self.duration.follow(duration_ns)
