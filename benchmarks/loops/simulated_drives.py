@@ -50,6 +50,10 @@ contains the other 8 bits.
 """
 HIGH_HALF = 0xF0
 LOW_HALF = 0x0F
+RECORD_SHORTS = RECORD_SIZE // 2
+"""Size of a frame record in numbers of 16 bits. The two torque bytes of a record are one such number."""
+TORQUE_BITS = np.uint16(LOW_HALF | 0xFF << 8)
+"""Bits of the torque in the number that is made of the two torque bytes, the first byte lowest."""
 
 
 @dataclass(frozen=True)
@@ -58,28 +62,28 @@ class CommandBatch:
 
     Attributes:
         nodes: (drives,) node number of each drive, in the order of the commands.
-        replies: (drives, ``RECORD_SIZE``) reply of each drive, as the bytes of a frame record.
+        replies: (drives, ``RECORD_SHORTS``) reply of each drive, as the 16-bit numbers of a frame record.
     """
 
     nodes: NDArray[np.intp]
-    replies: NDArray[np.uint8]
+    replies: NDArray[np.uint16]
 
-    def replies_to(self, commands: bytes, last_torques: NDArray[np.uint8]) -> bytes:
+    def replies_to(self, commands: bytes, last_torques: NDArray[np.uint16]) -> bytes:
         """Return the replies of all drives to the commands of one tick, as frame records.
 
         Each reply contains the torque of the preceding command to the same drive.
 
         Args:
             commands: frame records of the commands.
-            last_torques: (nodes, 2) torque bytes of the preceding command to each node, which become
+            last_torques: (nodes,) torque bytes of the preceding command to each node, which become
                 those of the given commands.
         """
-        preceding_torques = last_torques[self.nodes]
-        self.replies[:, REPLY_TORQUE_OFFSET] &= HIGH_HALF
-        self.replies[:, REPLY_TORQUE_OFFSET] |= preceding_torques[:, 0] & LOW_HALF
-        self.replies[:, REPLY_TORQUE_OFFSET + 1] = preceding_torques[:, 1]
-        records = np.frombuffer(commands, np.uint8).reshape(-1, RECORD_SIZE)
-        last_torques[self.nodes] = records[:, COMMAND_TORQUE_OFFSET : COMMAND_TORQUE_OFFSET + 2]
+        reply_torques = self.replies[:, REPLY_TORQUE_OFFSET // 2]
+        reply_torques &= ~TORQUE_BITS
+        reply_torques |= last_torques[self.nodes] & TORQUE_BITS
+        last_torques[self.nodes] = np.frombuffer(commands, np.uint16)[
+            COMMAND_TORQUE_OFFSET // 2 :: RECORD_SHORTS
+        ]
         return self.replies.tobytes()
 
 
@@ -97,8 +101,9 @@ class CachedReplies:
     def __init__(self, hand_name: str) -> None:
         self.rig = LockstepHand(hand_name, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
-        self.last_torques = np.zeros((LARGEST_MOTOR_ID + 1, 2), np.uint8)
+        self.last_torques = np.zeros(LARGEST_MOTOR_ID + 1, np.uint16)
         self.sync = self.rig.world.hand.sensors.sync_id
+        self.sync_record_start = self.sync.to_bytes(4, "little")
         self.sync_count = 0
         self.batches: dict[bytes, CommandBatch] = {}
 
@@ -107,13 +112,13 @@ class CachedReplies:
 
         The frames and the replies are frame records of the local bus.
         """
-        batch_start = RECORD_SIZE if frame_of(records).can_id == self.sync else 0
+        batch_start = RECORD_SIZE if records.startswith(self.sync_record_start) else 0
         commands = records[batch_start:]
         # The two bytes of the identifiers, for all records.
         identifiers = commands[0::RECORD_SIZE] + commands[1::RECORD_SIZE]
         batch = self.batches.get(identifiers)
         if batch and SPECIAL_COMMAND_PREFIX not in commands:
-            sync_replies = self.replies_to(frame_of(records)) if batch_start else b""
+            sync_replies = self.sensor_replies(records) if batch_start else b""
             return sync_replies + batch.replies_to(commands, self.last_torques)
         if SPECIAL_COMMAND_PREFIX in commands:
             self.batches.clear()
@@ -126,40 +131,47 @@ class CachedReplies:
             for frame in command_frames
         ]
         if len(command_frames) > 1 and {len(reply) for reply in cached_replies} == {RECORD_SIZE}:
-            reply_rows = np.frombuffer(b"".join(cached_replies), np.uint8).reshape(-1, RECORD_SIZE)
+            reply_rows = np.frombuffer(b"".join(cached_replies), np.uint16).reshape(
+                -1, RECORD_SHORTS
+            )
             nodes = np.array([frame.can_id for frame in command_frames], np.intp)
             self.batches[identifiers] = CommandBatch(nodes, reply_rows.copy())
         return replies
 
+    def sensor_replies(self, sync_record: bytes) -> bytes:
+        """Return the replies of the sensor node to a SYNC frame. All of them are frame records."""
+        self.sync_count += 1
+        turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
+        counter = sync_record[DATA_OFFSET] % SYNC_COUNTER_VALUES
+        key = (self.sync, SYNC_COUNTER_VALUES * turn + counter)
+        if key not in self.replies:
+            sync_frame = split_records(sync_record[:RECORD_SIZE], 0)[0][0]
+            self.replies[key] = self.packed_replies(sync_frame)
+        return self.replies[key]
+
+    def packed_replies(self, frame: Frame) -> bytes:
+        """Return the replies that the simulated nodes compute, as frame records."""
+        return b"".join(map(pack_record, self.rig.world.receive(frame)))
+
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
-        if frame.can_id != self.sync and frame.can_id > LARGEST_MOTOR_ID:
+        if frame.can_id == self.sync:
+            return self.sensor_replies(pack_record(frame))
+        if frame.can_id > LARGEST_MOTOR_ID:
             # The host reads or writes a register.
-            return b"".join(map(pack_record, self.rig.world.receive(frame)))
-        if frame.can_id != self.sync and frame.data.startswith(SPECIAL_COMMAND_PREFIX):
+            return self.packed_replies(frame)
+        if frame.data.startswith(SPECIAL_COMMAND_PREFIX):
             self.replies.clear()
             if frame.data == ENABLE_COMMAND:
                 self.pull_tendon(frame.can_id)
-            return b"".join(map(pack_record, self.rig.world.receive(frame)))
+            return self.packed_replies(frame)
+        preceding_torque = self.last_torques[frame.can_id].tobytes()
+        self.last_torques[frame.can_id] = int.from_bytes(frame.data[TORQUE_BYTES], "little")
         key = (frame.can_id, 0)
-        if frame.can_id == self.sync:
-            self.sync_count += 1
-            turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
-            key = (frame.can_id, SYNC_COUNTER_VALUES * turn + frame.data[0] % SYNC_COUNTER_VALUES)
         if key in self.replies:
-            reply = self.replies[key]
-            if frame.can_id == self.sync:
-                return reply
-            preceding_torque = self.last_torques[frame.can_id].tobytes()
-            self.last_torques[frame.can_id] = tuple(frame.data[TORQUE_BYTES])
-            return with_torque(reply, preceding_torque)
-        if frame.can_id != self.sync:
-            self.last_torques[frame.can_id] = tuple(frame.data[TORQUE_BYTES])
-        answer_frames = self.rig.world.receive(frame)
-        records = b"".join(map(pack_record, answer_frames))
-        if frame.can_id == self.sync or (
-            answer_frames and answer_frames[0].data[0] >> 4 == ENABLED_STATE
-        ):
+            return with_torque(self.replies[key], preceding_torque)
+        records = self.packed_replies(frame)
+        if records and records[DATA_OFFSET] >> 4 == ENABLED_STATE:
             self.replies[key] = records
         return records
 
@@ -191,12 +203,6 @@ def with_torque(reply: bytes, torque_bytes: bytes) -> bytes:
     )
     record[REPLY_TORQUE_OFFSET + 1] = torque_bytes[1]
     return bytes(record)
-
-
-def frame_of(records: bytes) -> Frame:
-    """Return the first frame in a sequence of frame records."""
-    frames, _ = split_records(records[:RECORD_SIZE], 0)
-    return frames[0]
 
 
 def main(hand_name: str, bus_name: str) -> None:
