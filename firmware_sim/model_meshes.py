@@ -101,8 +101,8 @@ def _three_numbers(text: str) -> Any:
 def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
     """Yield the meshes of an MJCF model.
 
-    For a body that has meshes without contacts, the function yields only the meshes without
-    contacts.
+    A mesh without contacts is a visual mesh. If a body has visual meshes, the function yields only
+    the visual meshes of the body.
 
     Args:
         model_spec: source of the model (``mujoco.MjSpec``).

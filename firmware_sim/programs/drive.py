@@ -145,9 +145,9 @@ class SimulatedDriveBench:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        If the time ``t_ns`` is within a time step, the method simulates only the first part of the
-        step. The next call of ``advance`` or ``advance_exactly`` first simulates the rest of the
-        divided step.
+        If the time ``t_ns`` is within a time step, the method simulates only the part of the step
+        before ``t_ns``. The next call of ``advance`` or ``advance_exactly`` first simulates the
+        part of this step after ``t_ns``.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns

@@ -163,8 +163,8 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Reproduce a defect: the controller detected the exchange of two drives only after 2.3 s.
 
     Each of the two drives reported the encoder and the current of the other drive. The fault N17
-    compares the changes of the commanded torque with the changes of the reported torque. In this
-    comparison, the large torque changes at a contact with the object hid the differences that the
+    compares the changes of the commanded torque with the changes of the reported torque. The torque
+    changes at a contact with the object were so large that they hid the differences that the
     exchange of the drives caused.
     """
     hand = hand_with_protocol("t42", "mit")
@@ -353,8 +353,8 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
     """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
-    If a drive switches off, the tension becomes too low. For this low tension, the controller
-    therefore reports the error of the drive, and not the fault T04b.
+    If a drive switches off, the tension becomes too low, so the detector of T04b finds nothing. The
+    controller therefore reports the error of the drive, and not the fault T04b.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
@@ -490,8 +490,9 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     """At control rates up to 500 Hz, the time limit for the reaction to a fault is ``max_ticks`` ticks.
 
-    At 1 kHz, the time limit is ``2 * max_ticks`` ticks if ``scales_with_period`` is True in the row
-    of the fault. For all other faults, the time limit at 1 kHz is also ``max_ticks`` ticks.
+    At 1 kHz, the time limit is ``2 * max_ticks`` ticks for a fault whose row has
+    ``scales_with_period=True``. For a fault with ``scales_with_period=False``, the time limit at 1
+    kHz is ``max_ticks`` ticks.
     """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
@@ -575,7 +576,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     - m: inertia of the rotor, converted to a mass at the tendon [kg]
     - v: initial speed of the rotor, converted to the tendon [m/s]
 
-    The reaction of the controller can only make the tension smaller than the bound.
+    The bound ignores the reaction of the controller, which can only lower the tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:

@@ -280,7 +280,7 @@ class SyntheticMonitor:
 def _uncompiled_helper(kernel_helper: Any) -> Any:
     """Return an uncompiled copy of a kernel helper, which is a function that only compiled kernels call.
 
-    If the kernel helper calls other kernel helpers, the copy calls uncompiled copies of them.
+    The copy calls an uncompiled copy of each kernel helper that the original calls.
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper

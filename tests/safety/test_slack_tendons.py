@@ -38,8 +38,8 @@ class FilteredTensionMonitor(SyntheticMonitor):
     ) -> list[tuple[int, int]]:
         """Run a tick with given measured tensions and commanded tensions.
 
-        Return two numbers for each tendon. The first number counts the ticks since the tendon was
-        taut. The second number counts the ticks in which the tendon was slack.
+        Return two counts for each tendon: the ticks since the tendon was last taut, and the ticks
+        in which the tendon was slack.
         """
         self.reported = self.tick(
             residual={TENSION: tension}, wanted=commanded_tension, **value_by_field

@@ -1,10 +1,11 @@
 """Fault matrix as data: the faults of a hand, and the reaction that each fault requires.
 
-Each row gives a fault, the affected parts of the hand, the stages of the run and the required
-reaction. Each row also has a time limit for the reaction. The reaction time counts from the
-physical event to the CAN frames that carry the reaction. The time limit is a number of ticks. If a
-fault or a drive protocol needs more time, the row adds a number of milliseconds to the ticks. An
-ODrive, for example, reports its state only every 100 ms, and the temperature every 200 ms.
+Each row of the matrix gives a fault, the affected parts of the hand, the stages of the run, the
+required reaction, and the time limit of the reaction. The reaction time counts from the physical
+event to the CAN frames that carry the reaction. The time limit of the reaction is a number of
+ticks. If a fault or a drive protocol needs more time, its row also gives an additional time in
+milliseconds. An ODrive, for example, reports its state only every 100 ms, and the temperature every
+200 ms.
 """
 
 import math
@@ -125,7 +126,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return by how many ticks later a hand that lacks sensors is allowed to react to a fault.
+        """Return the number of additional ticks that a hand without some sensors may take to react to a fault.
 
         Args:
             hand: description of the simulated hand.
@@ -165,7 +166,7 @@ class FaultScenario(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return a description of the scenario for reports."""
+        """Return the text that describes the scenario in reports."""
         return (
             f"{self.row.id} {self.fault}"
             + (f" + {self.second_fault}" if self.second_fault else "")
@@ -421,11 +422,11 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
-    comes first. The second fault starts a few ticks later. The first fault affects the first
-    possible part of the hand, such as the first motor, and the second fault affects the last
-    possible part. Some faults can affect only parts that the hand does not have, for example load
-    cells. The function leaves out every pair that contains a fault of a missing part. `period_ms`
-    is the control period [ms].
+    comes first. The second fault starts a few ticks later. The first fault affects the first part
+    of the hand that it can affect, such as the first motor. The second fault affects the last part
+    of the hand that it can affect. Some faults can affect only parts that the hand does not have,
+    for example load cells. The function leaves out every pair that contains a fault of a missing
+    part. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

@@ -184,12 +184,12 @@ class StagedRun(Protocol):
 
     @property
     def name(self) -> str:
-        """Return the description of the experiment for reports."""
+        """Return the text that describes the experiment in reports."""
         ...
 
     @property
     def id(self) -> str:
-        """Return the id of the experiment for reports.
+        """Return the id that reports show for the experiment.
 
         The id of a scenario is the id of a row of the fault matrix.
         """

@@ -297,7 +297,8 @@ def simulate_controller(
 ) -> ControllerState:
     """Run a controller with a simulated hand until the controller is done.
 
-    The time of a program stops while a fault holds the hand, so that a held run might never end.
+    While the reaction to a fault is HOLD, the time of the program stops. Without a limit, a run
+    with such a fault might never end.
 
     Args:
         controller: controller with its program.
