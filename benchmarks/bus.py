@@ -230,13 +230,13 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
     measure_ticks(time.perf_counter_ns, max(20, tick_count // 10))
     gc.collect()
     gc.disable()
-    wall_ns = measure_ticks(time.perf_counter_ns, tick_count)
-    cpu_ticks_ns = measure_ticks(time.thread_time_ns, tick_count)
+    wall_times_ns = measure_ticks(time.perf_counter_ns, tick_count)
+    cpu_times_ns = measure_ticks(time.thread_time_ns, tick_count)
     gc.enable()
     client.close()
     return {
-        "wall_us": statistics.median(wall_ns) / 1e3,
-        "cpu_us": statistics.fmean(cpu_ticks_ns) / 1e3,
+        "wall_us": statistics.median(wall_times_ns) / 1e3,
+        "cpu_us": statistics.fmean(cpu_times_ns) / 1e3,
     }
 
 

@@ -112,13 +112,13 @@ def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> 
             hand file cannot express.
     """
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
-    visual = (model.geom_contype | model.geom_conaffinity) == 0
-    bodies = {int(model.geom_bodyid[geom]) for geom in geoms if visual[geom]}
+    is_visual_geom = (model.geom_contype | model.geom_conaffinity) == 0
+    bodies = {int(model.geom_bodyid[geom]) for geom in geoms if is_visual_geom[geom]}
     assets = {mesh.id: mesh for mesh in model_spec.meshes}
     for geom in geoms.tolist():
         body = int(model.geom_bodyid[geom])
         asset = assets[int(model.geom_dataid[geom])]
-        if not asset.file or (body in bodies and not visual[geom]):
+        if not asset.file or (body in bodies and not is_visual_geom[geom]):
             continue
         scale = np.array(asset.scale)
         reference = rotation_of_quaternion(np.array(asset.refquat) / np.linalg.norm(asset.refquat))

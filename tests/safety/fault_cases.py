@@ -246,9 +246,9 @@ def stuck_motor(motor_index: int, goal_change_m: float) -> TickInput:
 
 
 def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
-    turned = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
+    spool_excursion_m = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
     return state_input(joint_value={joint_index: 0.3}, joint_stuck={joint_index: 50}, joint_anchor={joint_index: 0.0},
-                       measured_joint={joint_index: 0.3}, measured_travel={joint_index: turned})  # fmt: skip
+                       measured_joint={joint_index: 0.3}, measured_travel={joint_index: spool_excursion_m})  # fmt: skip
 
 
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:

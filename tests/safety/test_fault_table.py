@@ -122,8 +122,8 @@ def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
 
     The threshold was 15 N even for a drive with a limit of 60 N.
     """
-    tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
-    _, _, reported = check_fault_alone("N14", tick)
+    tick_input = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
+    _, _, reported = check_fault_alone("N14", tick_input)
     assert reported == [("N14", "m1")]
 
 

@@ -42,11 +42,11 @@ MIN_LATE_DELAY_TICKS = 1.5
 """Smallest value that the place holder {late} in a fault text gets [control periods]."""
 POSITION_JUMP_RAD = 1.0
 """Step of the position that no drive can make within two control periods [rad]."""
-POSITION_JUMP_MS = 5.0
+POSITION_JUMP_PERIOD_MS = 5.0
 """Control period above which the impossible position step grows in proportion to the period [ms]."""
 POSITION_NOISE_RAD = 0.04
 """Noise of the position that no drive can cause by motion within a control period [rad]."""
-POSITION_NOISE_MS = 5.0
+POSITION_NOISE_PERIOD_MS = 5.0
 """Control period above which the impossible position noise grows with the square of the period [ms]."""
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
@@ -464,8 +464,8 @@ def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
         # as a fault.
         "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
         "late": max(MIN_LATE_DELAY_MS, MIN_LATE_DELAY_TICKS * period_ms),
-        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
-        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
+        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_PERIOD_MS),
+        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_PERIOD_MS) ** 2),
     }
     text_by_placeholder = {name: f"{size:g}" for name, size in value_by_placeholder.items()}
     return [
@@ -481,7 +481,7 @@ def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """
     if "{tendon}" in fault:
         has_limit = "{trip}" in fault or "{limit}" in fault
-        names_cell = "cell={tendon}" in fault
+        is_load_cell_fault = "cell={tendon}" in fault
         return [
             {
                 "tendon": tendon.name,
@@ -489,7 +489,7 @@ def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
                 "limit": f"{tendon.drive_limit_N:g}",
             }
             for tendon in hand.tendon
-            if not names_cell or tendon.name in hand.sensor_node.tendons
+            if not is_load_cell_fault or tendon.name in hand.sensor_node.tendons
             # The controller would report a trip tension near the end of the load cell's range as
             # saturation.
             if not has_limit or tendon.tension_trip_N < MAX_READABLE_TRIP_N

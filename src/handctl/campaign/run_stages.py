@@ -265,10 +265,10 @@ def run_in_forked_processes(
                 )
             )
             experiment_by_child[child] = (reading, experiment)
-        child, status = os.wait()
+        child, wait_status = os.wait()
         if child in experiment_by_child:
             reading, experiment = experiment_by_child.pop(child)
-            on_result(_read_result(reading, experiment, status))
+            on_result(_read_result(reading, experiment, wait_status))
 
 
 def _run_to_json(
@@ -281,15 +281,15 @@ def _run_to_json(
     return json.dumps(asdict(result))
 
 
-def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of a forked copy that has ended with `status`."""
+def _read_result(reading: int, experiment: StagedRun, wait_status: int) -> ScenarioResult:
+    """Read the result of an experiment from the pipe of a forked copy that has ended with `wait_status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
-    if status or not text:
+    if wait_status or not text:
         return ScenarioResult(
             experiment.name,
             experiment.id,
             experiment.stage,
-            problem=f"its process ended with status {status}",
+            problem=f"its process ended with status {wait_status}",
         )
     return ScenarioResult(**json.loads(text))
