@@ -324,7 +324,7 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
     In the first tick, the input is just below the limit of the fault. In the following ticks, the
-    fault is present. In the last tick, the hand is at rest without the fault.
+    fault is present. In the last tick, the hand is at rest, and the fault is absent.
 
     The debouncing runs as Python code, without compilation. With debouncing, a fault counts only
     after some ticks in a row.

@@ -129,9 +129,9 @@ def test_a_snapped_tendon_is_detected(
     tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
     )
-    taut = 20.0 if ticks_since_taut == 0 else 2.2
+    second_tension_N = 20.0 if ticks_since_taut == 0 else 2.2
     tendons.run_tick(
-        [20.0, taut],
+        [20.0, second_tension_N],
         [24.0, commanded_tension_N],
         measured_tension=[20.0, cell_tension_N],
         speed=[0.05, spool_speed],

@@ -80,8 +80,8 @@ def hand_with_drives(
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    If the frames of the new drives reduce the control rate of a single bus below
-    ``MIN_CONTROL_RATE_HZ``, the motors are distributed over more buses.
+    If a single bus allows only a control rate below ``MIN_CONTROL_RATE_HZ`` with drives of the
+    given protocol, the motors are distributed over more buses.
 
     Args:
         hand: description of the hand.
@@ -257,18 +257,18 @@ def run_in_forked_processes(
     while waiting_experiments or experiment_by_child:
         while waiting_experiments and len(experiment_by_child) < jobs:
             experiment = waiting_experiments.pop(0)
-            child, reading = run_in_forked_copy(
+            child_pid, read_end = run_in_forked_copy(
                 partial(
                     _run_to_json,
                     partial(run_experiment, simulation, experiment),
                     partial(on_failure, simulation),
                 )
             )
-            experiment_by_child[child] = (reading, experiment)
-        child, wait_status = os.wait()
-        if child in experiment_by_child:
-            reading, experiment = experiment_by_child.pop(child)
-            on_result(_read_result(reading, experiment, wait_status))
+            experiment_by_child[child_pid] = (read_end, experiment)
+        child_pid, wait_status = os.wait()
+        if child_pid in experiment_by_child:
+            read_end, experiment = experiment_by_child.pop(child_pid)
+            on_result(_read_result(read_end, experiment, wait_status))
 
 
 def _run_to_json(
@@ -281,9 +281,9 @@ def _run_to_json(
     return json.dumps(asdict(result))
 
 
-def _read_result(reading: int, experiment: StagedRun, wait_status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of a forked copy that has ended with `wait_status`."""
-    with os.fdopen(reading) as pipe:
+def _read_result(read_end: int, experiment: StagedRun, wait_status: int) -> ScenarioResult:
+    """Read the result of an experiment from the pipe of a child process that has ended with `wait_status`."""
+    with os.fdopen(read_end) as pipe:
         text = pipe.read()
     if wait_status or not text:
         return ScenarioResult(

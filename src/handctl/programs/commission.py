@@ -234,7 +234,7 @@ class CommissionProgram:
     def _begin_holding_digit(
         self, model: HandModel, progress: ProgramProgress, t: float, is_taut: bool
     ) -> ProgressAndEvents:
-        """Press the digit of the tested tendon against its lower joint limits, with all tendons of the digit taut.
+        """Press the digit of the present step's tendon against its lower joint limits, with all tendons taut.
 
         Args:
             model: model of the hand.

@@ -345,7 +345,7 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit that begins at the digit's present motion reference (3, n).
+    """Return a move that begins at the digit's present motion reference (3, n): position, rate and acceleration.
 
     Without a reference, the move begins at the estimated coordinates.
     """

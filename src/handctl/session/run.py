@@ -115,8 +115,8 @@ def make_controller(
 ) -> Controller:
     """Construct the controller of a run.
 
-    The function also designs the controller with the gains of the plan. If numba must first compile
-    code, the function shows a progress bar.
+    The function also designs the controller with the gains of the run plan. If numba must first
+    compile code, the function shows a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
