@@ -24,9 +24,11 @@ from handctl.cli.runs import demo
 class AdapterRunOutcome(NamedTuple):
     """Outcome of one run of the demo at one control rate.
 
-    ``is_demo_passed`` is True if the demo ran to its end without a failure. The other fields are the
-    tracking error [deg], the tension error while the hand holds the object [N], and the reason why
-    the run ended.
+    Attributes:
+        is_demo_passed: True if the demo ran to its end without a failure.
+        tracking_error_deg: tracking error [deg].
+        hold_error_n: tension error while the hand holds the object [N].
+        end_cause: reason why the run ended.
     """
 
     is_demo_passed: bool

@@ -1,7 +1,7 @@
 """Measure the time that handctl and other CAN clients need to exchange the frames of one tick.
 
-The benchmark measures the CPU time and the wall time of the exchange. The client of handctl, each
-other client and each C program are the alternatives of the comparison.
+The benchmark measures the CPU time and the wall time of the exchange. It compares the client of
+handctl, other CAN clients, and C programs.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark runs with four and with eleven motors
 in MIT mode, on handctl's local bus (a Unix socket) and on vcan. If the kernel of the machine does
@@ -13,10 +13,10 @@ because the controller does so in every tick. Absolute times of different runs a
 Compare only ratios of times from the same run.
 
 A C program makes the same system calls as handctl and encodes the same frames. The time of the C
-program is the lower bound for all alternatives. On the local bus, handctl and the C program send
-all frames of a tick in one packet. Therefore, the lower bound on the local bus hardly grows with
-the number of motors. For comparison, another C program sends one packet per frame (sendmmsg,
-recvmmsg), as a CAN socket does.
+program is the lower bound for the times of all clients. On the local bus, handctl and the C program
+send all frames of a tick in one packet. Therefore, the time of the C program on the local bus
+hardly grows with the number of motors. For comparison, another C program sends one packet per frame
+(sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -41,7 +41,7 @@ REFERENCE_LABEL = "python-can, scalar codec"
 
 
 def main() -> None:
-    """Measure the exchange times of all alternatives on both buses, and print the results."""
+    """Measure the exchange times of all clients on both buses, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -119,14 +119,13 @@ def measure_vcan(c_program: str, tick_count: int) -> dict:
 
 
 def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
-    """Measure the wall time [us] and the CPU time [us] of each alternative, for each number of motors.
+    """Measure the wall time [us] and the CPU time [us] of each client, for each number of motors.
 
-    For an alternative that cannot run, the result contains the reason why the alternative cannot
-    run.
+    For a client that cannot run, the result contains the reason why the client cannot run.
 
-    Each round measures all alternatives, because other work on the machine disturbs some rounds
-    more than others. The reported wall time is the wall time of the fastest round. The reported CPU
-    time is the mean over all rounds, because user-mode Linux counts CPU time in units of 10 ms.
+    Each round measures all clients, because other work on the machine disturbs some rounds more
+    than others. The reported wall time is the wall time of the fastest round. The reported CPU time
+    is the mean over all rounds, because user-mode Linux counts CPU time in units of 10 ms.
     """
     result: dict = {}
     for motors in MOTOR_COUNTS:
@@ -143,7 +142,7 @@ def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
 
 
 def combine_rounds(round_rows: list[dict]) -> dict:
-    """Combine the rounds of one alternative into one result: shortest wall time, and mean CPU time."""
+    """Combine the rounds of one client into one result: shortest wall time, and mean CPU time."""
     if "skipped" in round_rows[0]:
         return round_rows[0]
     wall_us, cpu_us = ([row[key] for row in round_rows] for key in ("wall_us", "cpu_us"))
@@ -151,7 +150,7 @@ def combine_rounds(round_rows: list[dict]) -> dict:
 
 
 def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
-    """Measure the alternatives one after another, and yield the name and the times of each alternative."""
+    """Measure the clients one after another, and yield the name and the times of each client."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.can_exchanges import EXCHANGE_BY_NAME
     from exchange.pypi_clients import CLIENT_BY_PACKAGE
@@ -231,22 +230,22 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
     measure_ticks(time.perf_counter_ns, max(20, tick_count // 10))
     gc.collect()
     gc.disable()
-    wall_ns = measure_ticks(time.perf_counter_ns, tick_count)
-    cpu_ticks_ns = measure_ticks(time.thread_time_ns, tick_count)
+    wall_times_ns = measure_ticks(time.perf_counter_ns, tick_count)
+    cpu_times_ns = measure_ticks(time.thread_time_ns, tick_count)
     gc.enable()
     client.close()
     return {
-        "wall_us": statistics.median(wall_ns) / 1e3,
-        "cpu_us": statistics.fmean(cpu_ticks_ns) / 1e3,
+        "wall_us": statistics.median(wall_times_ns) / 1e3,
+        "cpu_us": statistics.fmean(cpu_times_ns) / 1e3,
     }
 
 
 def add_ratios(row_by_name: dict) -> dict:
     """Add three ratios to each row.
 
-    For the first two ratios, the wall time of the alternative is divided by the wall time of each
-    of the two C programs. For the third ratio, the wall time of python-can is divided by the wall
-    time of the alternative.
+    For the first two ratios, the wall time of the client is divided by the wall time of each of the
+    two C programs. For the third ratio, the wall time of python-can is divided by the wall time of
+    the client.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():

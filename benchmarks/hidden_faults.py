@@ -70,14 +70,14 @@ def rising_hold_task() -> dict[str, Any]:
     other_task = copy.deepcopy(CAMPAIGN_TASK)
     hold_phase = other_task["phase"][-1]
     hold_phase["duration_s"] = 1.5
-    rising_phase = {
+    rising_hold_phase = {
         "kind": "hold",
         "name": "rise",
         "tension_N": HIGH_HOLD_TENSION_N,
         "rate_N_per_s": FAST_TENSION_RATE_N_PER_S,
         "duration_s": 60.0,
     }
-    other_task["phase"].append(rising_phase)
+    other_task["phase"].append(rising_hold_phase)
     return other_task
 
 

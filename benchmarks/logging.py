@@ -3,8 +3,8 @@
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
 of the hand jamia11 at 1 kHz. The messages include the raw frames. Absolute times of different runs
 are not comparable. Compare only ratios of times from the same run. The control loop of handctl
-passes each record to another process, which writes the log. The other log libraries write within
-the control loop.
+passes each record to another process, which writes the log. All log writers except the writer of
+handctl write the log within the control loop.
 """
 
 import sys

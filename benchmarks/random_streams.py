@@ -79,12 +79,12 @@ def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[s
         The text of the fault (empty if the hand had no fault), and the largest true tension [N].
     """
     env.reset(seed=seed)
-    random = np.random.default_rng(seed)
+    random_source = np.random.default_rng(seed)
     action = np.zeros(env.action_space.shape or ())
     largest = 0.0
     step = 0
     while True:
-        action = ACTION_SOURCES[source_name](random, action, step)
+        action = ACTION_SOURCES[source_name](random_source, action, step)
         _, _, is_terminated, is_truncated, information = env.step(action.astype(np.float32))
         largest = max(
             largest,

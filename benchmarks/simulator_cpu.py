@@ -64,15 +64,15 @@ def measure_simulator_cpu(
         )
     ticks = round(simulated_s * CONTROL_RATES_HZ[hand_name])
     steps = len(rollout.torque)
-    engine_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
+    mujoco_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
     exchange_us = (simulator_s - ticks * clock_read_cpu_s()) / ticks * 1e6
     return {
         "hand": hand_name,
         "protocol": protocol,
         "scene": scene_name,
-        "bare_us_per_tick": engine_us,
+        "bare_us_per_tick": mujoco_us,
         "exchange_us_per_tick": exchange_us,
-        "behind_the_wire_us_per_tick": exchange_us - engine_us,
+        "behind_the_wire_us_per_tick": exchange_us - mujoco_us,
     }
 
 

@@ -4,10 +4,11 @@ A simulated hand, the true plant, replaces the real hand. The parameters of the 
 from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One search tries
 gains on an ensemble of hands whose parameters are close to the hand file. Another search tries
 gains on the true plant. With ``--fit``, an additional search tries gains on a hand with the
-identified parameters. The best gains of each search are finally tried on the true plant. The cost
-of the gains from each search on other hands is divided by the cost of the gains from the search on
-the true plant. This ratio shows how much a search loses because it does not know the true
-parameters.
+identified parameters. The best gains of each search are finally tried on the true plant.
+
+The benchmark reports a cost ratio for each search that does not use the true plant. The cost of the
+gains from this search is divided by the cost of the gains from the search on the true plant. The
+ratio shows how much a search loses because it does not know the true parameters.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials

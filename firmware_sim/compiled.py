@@ -74,8 +74,8 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 def array_at(address: int, row_count: int, row_type: Any) -> Any:
     """Return the memory at an address as an array of ``row_count`` numbers or rows.
 
-    If a kernel calls ``array_at``, the array costs no computing time. If a Python caller passes an
-    array to a kernel as an argument, the array costs 0.2 us per call.
+    A kernel that calls ``array_at`` gets the array without a cost in computing time. An array that
+    Python code passes to a kernel as an argument costs 0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -197,7 +197,7 @@ def _build_c_call() -> Any:
     """Build the compiled form of ``call_c_function``.
 
     The address of the function is an argument of the compiled code. If the address were a constant
-    in the compiled code, numba could not store the code for the next process.
+    in the compiled code, numba could not store the code for other processes.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types

@@ -152,14 +152,14 @@ class MomentArmCurve:
 
         The returned moment arm has the opposite sign.
         """
-        return replace(self, coefficients=tuple(-power for power in self.coefficients))
+        return replace(self, coefficients=tuple(-coefficient for coefficient in self.coefficients))
 
     @property
     def mean(self) -> float:
         """Return the moment arm, averaged over the range of the joint [m]."""
         area = 0.0
-        for i, power in enumerate(self.coefficients, 1):
-            area += power * (self.high**i - self.low**i) / i
+        for i, coefficient in enumerate(self.coefficients, 1):
+            area += coefficient * (self.high**i - self.low**i) / i
         return area / (self.high - self.low)
 
 

@@ -150,7 +150,7 @@ class LockstepHand:
             self._truth = None
 
     def _wire_loads(self) -> list[float]:
-        """Return the load of each wire.
+        """Return the load of each simulated CAN wire.
 
         The load is the fraction of the simulated time in which frames occupied the wire.
         """

@@ -483,13 +483,13 @@ def _shape_corners(
             (geom_position + (centre + BOX_CORNERS * half_sizes) @ axes.T - link_origin)
             @ link_rotation
         )
-        rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
+        shape_rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         half_width = (
             float(model.geom_size[geom, 0])
             if kind in ROUND_SHAPES
             else float(np.sort(half_sizes)[:2].mean())
         )
-        radii[rank] = max(radii.get(rank, 0.0), half_width)
+        radii[shape_rank] = max(radii.get(shape_rank, 0.0), half_width)
     if not corners:
         return [], None
     return np.vstack(corners).tolist(), radii[min(radii)]

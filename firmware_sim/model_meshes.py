@@ -101,8 +101,8 @@ def _three_numbers(text: str) -> Any:
 def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
     """Yield the meshes of an MJCF model.
 
-    For a body that has meshes without contacts, the function yields only the meshes without
-    contacts.
+    A mesh without contacts is a visual mesh. If a body has visual meshes, the function yields only
+    the visual meshes of the body.
 
     Args:
         model_spec: source of the model (``mujoco.MjSpec``).
@@ -112,13 +112,13 @@ def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> 
             hand file cannot express.
     """
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
-    visual = (model.geom_contype | model.geom_conaffinity) == 0
-    bodies = {int(model.geom_bodyid[geom]) for geom in geoms if visual[geom]}
+    is_visual_geom = (model.geom_contype | model.geom_conaffinity) == 0
+    bodies = {int(model.geom_bodyid[geom]) for geom in geoms if is_visual_geom[geom]}
     assets = {mesh.id: mesh for mesh in model_spec.meshes}
     for geom in geoms.tolist():
         body = int(model.geom_bodyid[geom])
         asset = assets[int(model.geom_dataid[geom])]
-        if not asset.file or (body in bodies and not visual[geom]):
+        if not asset.file or (body in bodies and not is_visual_geom[geom]):
             continue
         scale = np.array(asset.scale)
         reference = rotation_of_quaternion(np.array(asset.refquat) / np.linalg.norm(asset.refquat))

@@ -41,8 +41,8 @@ class ClockReadings:
 class PaceMeter:
     """Meter of the pace of a simulation, which is the simulated time of the plant per wall time.
 
-    The meter also counts and reports the slips of the clock. At a slip, the plant skips the time by
-    which the plant is late.
+    The meter also counts and reports the slips of the clock. If the plant is too far behind the
+    clock, the clock slips, which means that the plant skips the lost time.
 
     Attributes:
         advice: highest pace advised for this machine, as the ratio of plant time to wall time. The
@@ -85,10 +85,10 @@ class PaceMeter:
         self._last_report = self._start = self._read_clocks(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock, at which the plant skips the time by which the plant is late.
+        """Count a slip of the clock, which means that the plant skips the time by which it is behind the clock.
 
-        The plant never simulates the skipped time. The method reports the slip if the last report
-        is at least ``REPORT_PERIOD_S`` old.
+        The plant does not advance by the skipped time. The method reports the slip if the last
+        report is at least ``REPORT_PERIOD_S`` old.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].

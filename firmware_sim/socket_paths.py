@@ -114,7 +114,7 @@ def bus_path(name: str) -> Path:
 
 
 def faults_path(spec: str) -> Path:
-    """Return the path of the fault socket of the simulator on a given bus.
+    """Return the path of the socket through which faults are injected into the simulator on a given bus.
 
     The path is the same for the buses ``join:NAME`` and ``local:NAME``.
     """

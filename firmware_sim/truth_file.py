@@ -2,9 +2,9 @@
 
 Tests compare the estimates of a controller with the truth file.
 
-The truth file starts with a line of JSON. The writer pads the line with spaces, and completes the
-line when the file is closed. Rows of data follow after the line. Each row consists of an int64 t_ns
-and of a float64 for each column, little-endian.
+The truth file starts with a header line of JSON. The header line is padded with spaces to a fixed
+size, so that the writer can complete it when the file is closed. Rows of data follow after the
+header line. Each row consists of an int64 t_ns and of a float64 for each column, little-endian.
 """
 
 import json

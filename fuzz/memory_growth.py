@@ -48,9 +48,9 @@ class MemorySampler:
         """Return a stop request if the run has reached its end time."""
         return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
-    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Measure the memory of the processes every ``SAMPLE_PERIOD_S``."""
-        t = entry.t_ns / 1e9
+        t = tick_input.t_ns / 1e9
         if not self.samples or t - self.samples[-1].time_s >= SAMPLE_PERIOD_S:
             self.samples.append(memory_sample(os.getpid(), t))
             print(f"{t:8.0f} s  {self.samples[-1].rss_mib:.2f} MiB", file=sys.stderr, flush=True)

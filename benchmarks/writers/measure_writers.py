@@ -85,7 +85,7 @@ def conversion_cpu_s(log_folder: Path) -> float:
     recorded while they are still in the caches of the processor, as in a control loop. The run is
     repeated, and the shortest recording time of each tick is used.
     """
-    durations = list[list[float]]()
+    durations_by_execution = list[list[float]]()
     with RunLog(EXECUTED_LOG_PATH) as log:
         controller = rebuild_controller(log)
         inputs = [tick.tick_in for tick in log.ticks()]
@@ -93,16 +93,16 @@ def conversion_cpu_s(log_folder: Path) -> float:
         for i in range(EXECUTION_COUNT):
             recorder = Recorder.start(log_folder / f"executed-{i}.mcap", log.header)
             state = controller.initial_state()
-            durations.append([])
+            durations_by_execution.append([])
             for tick_in in inputs:
                 state, tick_output = controller.tick(state, tick_in)
                 start = time.perf_counter()
                 recorder.send_record(pack_tick_record(tick_in, tick_output))
                 recorder.take_events()
-                durations[-1].append(time.perf_counter() - start)
+                durations_by_execution[-1].append(time.perf_counter() - start)
             recorder.close("finished")
         gc.enable()
-    return sum(map(min, zip(*durations, strict=True))) / len(inputs)
+    return sum(map(min, zip(*durations_by_execution, strict=True))) / len(inputs)
 
 
 def _cpu_s(measured_work: Callable[[], object]) -> float:

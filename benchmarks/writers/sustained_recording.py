@@ -95,7 +95,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
         result = {"ticks": stats_with_log.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     summary_counts = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
-    lateness_figures = {
+    lateness_results = {
         "without_us": _lateness_figures(stats_before, stats_after),
         "with_us": _lateness_figures(stats_with_log),
     }
@@ -105,7 +105,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
         **result,
         **summary_counts,
         "recorder_core_share": fraction,
-        **lateness_figures,
+        **lateness_results,
     }
 
 

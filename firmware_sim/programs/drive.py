@@ -145,9 +145,9 @@ class SimulatedDriveBench:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        If the time ``t_ns`` is within a time step, the method simulates only the first part of the
-        step. The next call of ``advance`` or ``advance_exactly`` first simulates the rest of the
-        divided step.
+        If the time ``t_ns`` is within a time step, the method simulates only the part of the step
+        before ``t_ns``. The next call of ``advance`` or ``advance_exactly`` first simulates the
+        part of this step after ``t_ns``.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns
@@ -234,12 +234,14 @@ def _behaviour_options(args: argparse.Namespace) -> dict[str, object]:
         raise SimulatorError(
             f"{wrong_options[0]}: only for drive {behaviour_by_option[wrong_options[0]][0]}"
         )
-    behaviour = {
+    value_by_option = {
         name: value
         for name, (_, value, on) in behaviour_by_option.items()
         if on and name != "--firmware"
     }
-    return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
+    return {
+        name.removeprefix("--").replace("-", "_"): value for name, value in value_by_option.items()
+    }
 
 
 def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
@@ -268,8 +270,10 @@ def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
     if len(set(numbers)) < len(numbers):
         raise SimulatorError(f"--ids {args.ids}: expected each number once")
     kind = args.motor_type or ""
-    firmware = args.firmware or "0.6"
-    specs = [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
+    firmware_version = args.firmware or "0.6"
+    specs = [
+        drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware_version) for n in numbers
+    ]
     return [replace(spec, options={**spec.options, **options}) for spec in specs]
 
 

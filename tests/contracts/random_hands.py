@@ -67,10 +67,10 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
             int(rng.integers(1, 4)),
         )
         digit_joints = [f"{name}_j{j + 1}" for j in range(size)]
-        radii = rng.uniform(2e-3, 5e-3, size)
+        pulley_radii = rng.uniform(2e-3, 5e-3, size)
         kinds = [
             arms
-            for arms in _moment_arm_kinds(digit_joints, radii)
+            for arms in _moment_arm_kinds(digit_joints, pulley_radii)
             if len(arms) <= remaining_tendons
         ]
         arms = kinds[int(rng.integers(len(kinds)))]
@@ -149,32 +149,39 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     return {name for name in sorted(candidate_motors) if rng.random() < 0.5}
 
 
-def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
+def _moment_arm_kinds(
+    joints: list[str], pulley_radii: np.ndarray
+) -> Iterator[list[dict[str, float]]]:
     """Yield the moment arms of each kind of digit, as a list with one dictionary for each tendon.
 
     A dictionary contains the moment arm of the tendon at each joint that the tendon moves. The keys
     are the names of the joints.
     """
-    first_radius = float(radii[0])
+    first_radius = float(pulley_radii[0])
     yield [dict.fromkeys(joints, first_radius)]
     closing_arms = [
-        dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))
+        dict(zip(joints[: i + 1], pulley_radii[: i + 1].tolist(), strict=True))
+        for i in range(len(joints))
     ]
     yield closing_arms
     yield [
         *closing_arms,
-        {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)},
+        {joint: -float(radius) for joint, radius in zip(joints, pulley_radii, strict=True)},
     ]
 
 
 def _random_digit(
     finger: dict[str, Any], name: str, size: int, is_coupled: bool, rng: RandomGenerator
 ) -> dict[str, Any]:
-    cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
-           for key, value in finger.items()}  # fmt: skip
-    cut |= {"name": name, "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist()}
-    cut["spring_preload_rad"] = rng.uniform(0.4, 0.8, size).tolist()
-    return cut | ({"coupling": [[1.0]] * size} if is_coupled else {})
+    digit_table = {
+        key: value[:size]
+        if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin")
+        else value
+        for key, value in finger.items()
+    }
+    digit_table |= {"name": name, "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist()}
+    digit_table["spring_preload_rad"] = rng.uniform(0.4, 0.8, size).tolist()
+    return digit_table | ({"coupling": [[1.0]] * size} if is_coupled else {})
 
 
 def _message_payload(

@@ -198,8 +198,8 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """A compiled kernel raises an exception if it is called with an array type for which it was not compiled.
 
-    Without this exception, a call with a new array type would start a compilation of about 1 s in
-    the middle of a tick.
+    Without an exception, a call with a new array type would start a compilation of about 1 s in the
+    middle of a tick.
     """
 
     @kernel("vector", "real")
@@ -272,7 +272,7 @@ def package_copy(tmp_path: Path) -> Path:
 
 
 def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, bool, bool]:
-    """Run the added kernel of a copied package in another process.
+    """Run the kernel of the module ``core.probe`` in a copy of the package, in another process.
 
     Returns: The result of the kernel, True if its machine code was loaded from a file, and True if
         its machine code can be stored in a file.
@@ -328,7 +328,8 @@ def test_two_installations_of_one_version_store_their_code_apart(
 ) -> None:
     """Two installations of handctl must not share a cache folder.
 
-    One installation could load machine code that the other installation has compiled.
+    With a shared cache folder, one installation could load machine code that the other installation
+    has compiled.
     """
     cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other_copy)

@@ -72,13 +72,13 @@ def test_the_catalogue_has_every_row_once_and_in_order() -> None:
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     table_rows = {fault.row for fault in FAULT_TABLE}
     assert table_rows <= set(CATALOGUE_IDS)
-    elsewhere = {
+    ids_checked_elsewhere = {
         entry.id for entry in FAULT_CATALOGUE if entry.checked_by != CHECKED_BY_FAULT_TABLE
     }
     assert {
         entry.id for entry in FAULT_CATALOGUE if entry.checked_by == CHECKED_BY_FAULT_TABLE
     } <= table_rows
-    assert table_rows & elsewhere <= {"B18", "N12"}, (
+    assert table_rows & ids_checked_elsewhere <= {"B18", "N12"}, (
         "only these rows are checked before arming and in every tick"
     )
 
@@ -92,14 +92,14 @@ def test_every_row_has_its_visibility_in_each_protocol() -> None:
 
 
 def test_every_fault_is_injected_or_has_a_reason() -> None:
-    campaign = {row.id for row in FAULT_MATRIX}
+    campaign_ids = {row.id for row in FAULT_MATRIX}
     for entry in FAULT_CATALOGUE:
         if entry.tested_by == "campaign":
-            assert entry.id in campaign, entry.id
+            assert entry.id in campaign_ids, entry.id
         elif entry.tested_by != "soak":
             assert (REPOSITORY / entry.tested_by).exists(), entry.id
-    assert campaign <= set(CATALOGUE_IDS)
-    assert TEST_PLACE_BY_UNTESTED_FAULT.keys() | campaign >= set(CATALOGUE_IDS) - {
+    assert campaign_ids <= set(CATALOGUE_IDS)
+    assert TEST_PLACE_BY_UNTESTED_FAULT.keys() | campaign_ids >= set(CATALOGUE_IDS) - {
         id_ for id_ in CATALOGUE_IDS if id_[0] == "I"
     }
 
@@ -133,9 +133,9 @@ H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 
 def test_a_reaction_later_than_required_has_a_reason() -> None:
     words = REQUIRED_TICKS.split()
-    required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
+    required_ticks_by_id = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in FAULT_CATALOGUE:
-        assert entry.required == required.get(entry.id, 0), entry.id
+        assert entry.required == required_ticks_by_id.get(entry.id, 0), entry.id
         needs_reason = (entry.ticks or entry.ms) and reacts_too_late(entry)
         assert bool(entry.why) == bool(needs_reason), (
             f"{entry.id}: late detection, and no other, needs a reason"
@@ -143,10 +143,10 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 
 
 def test_the_pages_agree_with_the_code() -> None:
-    evidence = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
-    assert catalogue_markdown() in evidence
-    assert late_reactions_markdown() in evidence
-    assert hardware_checklist() in evidence
+    evidence_page = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
+    assert catalogue_markdown() in evidence_page
+    assert late_reactions_markdown() in evidence_page
+    assert hardware_checklist() in evidence_page
     fault_page_text = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
     assert fault_table_markdown() in fault_page_text
     assert fault_sections() in fault_page_text

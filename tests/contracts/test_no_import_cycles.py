@@ -66,8 +66,8 @@ def test_no_import_circles(package_name: str) -> None:
     files = {
         name: path for name, path in module_files().items() if name.split(".")[0] == package_name
     }
-    graph = {
+    import_graph = {
         name: imported_modules(path.read_text(encoding="utf-8"), set(files)) - {name}
         for name, path in files.items()
     }
-    assert import_cycles(graph) == []
+    assert import_cycles(import_graph) == []

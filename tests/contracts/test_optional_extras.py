@@ -203,14 +203,16 @@ def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
     needs compiled kernels.
     """
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
-    ran = subprocess.run(
+    completed_process = subprocess.run(
         [sys.executable, "-c", HIDE_EXTRAS_SCRIPT + CLIENT_SCRIPT, str(log)],
         capture_output=True,
         text=True,
         check=False,
     )
     expected = "a controller needs numba: pip install 'handctl[controller]'\n"
-    assert (ran.stdout, ran.returncode) == (expected, 0), ran.stderr
+    assert (completed_process.stdout, completed_process.returncode) == (expected, 0), (
+        completed_process.stderr
+    )
 
 
 COMMANDS_WITHOUT_EXTRA = [
@@ -231,11 +233,11 @@ def test_verbs_for_logs_and_buses_need_no_controller(
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
     code = f"{HIDE_EXTRAS_SCRIPT}from handctl.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     command = words.format(log=log, folder=tmp_path).split()
-    ran = subprocess.run(
+    completed_process = subprocess.run(
         [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
     )
-    assert exit_code in (None, ran.returncode), ran.stderr
-    assert text in ran.stdout + ran.stderr
+    assert exit_code in (None, completed_process.returncode), completed_process.stderr
+    assert text in completed_process.stdout + completed_process.stderr
 
 
 def test_each_extra_installs_what_it_is_named_for() -> None:

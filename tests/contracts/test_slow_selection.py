@@ -35,13 +35,13 @@ def test_each_listed_function_exists() -> None:
     Earlier defect: 36 lines of the list of slow tests named functions that had been renamed.
     """
     listed = {re.split(r"\[", test, maxsplit=1)[0] for test in read_slow_test_costs()}
-    missing = []
+    missing_tests = []
     for test in sorted(listed):
         file, *_, function = test.split("::")
         path = REPOSITORY / file
         if not path.exists() or f"def {function}(" not in path.read_text(encoding="utf-8"):
-            missing.append(test)
-    assert missing == []
+            missing_tests.append(test)
+    assert missing_tests == []
 
 
 def test_a_test_that_waits_long_is_slow() -> None:

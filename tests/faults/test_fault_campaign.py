@@ -118,14 +118,14 @@ def test_fault_free_run_alone_continues_its_seeds():
     assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
 
 
-def alarms_of_run(last_phase, *event_texts):
+def alarms_of_run(phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    The run stays in the phase ``last_phase`` for eight seconds. Once per second, the run reports
+    The run stays in the given phase for eight seconds. Once per second, the run reports
     every fault in ``event_texts``.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
-    out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
+    out = SimpleNamespace(mode=HandMode.ACTIVE, phase=phase, events=events)
 
     @contextlib.contextmanager
     def fake_homed_run(hand, rate_hz, seed, perturb):
@@ -163,8 +163,8 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Reproduce a defect: the controller detected the exchange of two drives only after 2.3 s.
 
     Each of the two drives reported the encoder and the current of the other drive. The fault N17
-    compares the changes of the commanded torque with the changes of the reported torque. In this
-    comparison, the large torque changes at a contact with the object hid the differences that the
+    compares the changes of the commanded torque with the changes of the reported torque. The torque
+    changes at a contact with the object were so large that they hid the differences that the
     exchange of the drives caused.
     """
     hand = hand_with_protocol("t42", "mit")
@@ -184,11 +184,11 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 
     In this test, hands with eleven moteus, ODrive or RobStride drives have two buses.
     """
-    replaced = hand_with_protocol(hand, protocol)
-    assert default_control_rate(replaced) >= MIN_CONTROL_RATE_HZ
-    assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
-    # The hand file that `demo --protocol` writes must describe the same hand as ``replaced``.
-    assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
+    changed_hand = hand_with_protocol(hand, protocol)
+    assert default_control_rate(changed_hand) >= MIN_CONTROL_RATE_HZ
+    assert {motor.bus for motor in changed_hand.motor} <= set(changed_hand.bus_names)
+    # The hand file that `demo --protocol` writes must describe the same hand as ``changed_hand``.
+    assert hand_from_content(tomllib.loads(changed_hand.to_toml()), "hand") == changed_hand
 
 
 @pytest.mark.timeout(120)
@@ -259,11 +259,11 @@ def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
     with homed_run(hand_with_protocol(fault_name, "mit"), rate_hz, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
         advance_to_stage(simulation, FREE_MOTION_STAGE)
-        free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
-        assert len(free) * simulation.period_ns == pytest.approx(
+        free_outputs = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
+        assert len(free_outputs) * simulation.period_ns == pytest.approx(
             FREE_MOTION_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
-        speed = free[-1].telemetry.dq_goal
+        speed = free_outputs[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 
 
@@ -353,8 +353,8 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
     """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
-    If a drive switches off, the tension becomes too low. For this low tension, the controller
-    therefore reports the error of the drive, and not the fault T04b.
+    If a drive switches off, the tension becomes too low, so the detector of T04b finds nothing. The
+    controller therefore reports the error of the drive, and not the fault T04b.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
@@ -482,16 +482,17 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     row = next(row for row in FAULT_MATRIX if row.id == "H03")
     for rate_hz in (200.0, 250.0, 400.0, 500.0, 1000.0):
         (text,) = fault_texts_for_hand(hand, row.fault, 1e3 / rate_hz)
-        missed = int(text.split()[-1])
-        assert missed > tick_count_for_time(MAX_STALL_S, 1.0 / rate_hz, MIN_STALLED_TICKS)
-        assert missed / rate_hz < watchdog_s
+        missed_ticks = int(text.split()[-1])
+        assert missed_ticks > tick_count_for_time(MAX_STALL_S, 1.0 / rate_hz, MIN_STALLED_TICKS)
+        assert missed_ticks / rate_hz < watchdog_s
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     """At control rates up to 500 Hz, the time limit for the reaction to a fault is ``max_ticks`` ticks.
 
-    At 1 kHz, the time limit is ``2 * max_ticks`` ticks if ``scales_with_period`` is True in the row
-    of the fault. For all other faults, the time limit at 1 kHz is also ``max_ticks`` ticks.
+    At 1 kHz, the time limit is ``2 * max_ticks`` ticks for a fault whose row has
+    ``scales_with_period=True``. For a fault with ``scales_with_period=False``, the time limit at 1
+    kHz is ``max_ticks`` ticks.
     """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
@@ -499,8 +500,8 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
             fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)
         ]
         assert limits_up_to_500_hz == 3 * [row.max_ticks]
-        fast_ticks = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
-        assert fixed_row.reaction_limit_ticks("mit", 1.0) == fast_ticks
+        limit_at_1_khz = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
+        assert fixed_row.reaction_limit_ticks("mit", 1.0) == limit_at_1_khz
     assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}
 
 
@@ -575,7 +576,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     - m: inertia of the rotor, converted to a mass at the tendon [kg]
     - v: initial speed of the rotor, converted to the tendon [m/s]
 
-    The reaction of the controller can only make the tension smaller than the bound.
+    The bound ignores the reaction of the controller, which can only lower the tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -641,13 +642,13 @@ def test_every_row_is_in_the_matrix_or_tested_elsewhere():
 
 def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     hand = hand_with_protocol("jamia11", "mit")
-    samples = [
+    quick_samples = [
         campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=True, seed=seed)
         for seed in range(campaign.QUICK_SCENARIO_STEP)
     ]
     all_scenarios = campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=False)
-    assert sorted(sample_result.name for sample in samples for sample_result in sample) == sorted(
-        full_result.name for full_result in all_scenarios
+    assert sorted(scenario.name for sample in quick_samples for scenario in sample) == sorted(
+        scenario.name for scenario in all_scenarios
     )
 
 

@@ -122,10 +122,10 @@ class SyntheticRunTicks:
 
         ``run_fraction`` is the elapsed fraction of the run.
         """
-        closing = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
-        opening = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
-        closed = closing * closing * (3 - 2 * closing)
-        return closed * (1 - opening * opening * (3 - 2 * opening))
+        closing_progress = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
+        opening_progress = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
+        closed = closing_progress * closing_progress * (3 - 2 * closing_progress)
+        return closed * (1 - opening_progress * opening_progress * (3 - 2 * opening_progress))
 
     def _telemetry(self, tick_index: int, run_fraction: float) -> Telemetry:
         run, period = self.run, self.run.period_ns * 1e-9

@@ -63,7 +63,7 @@ def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
 
 
 def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
-    """Reproduce a defect: with an earlier table, the memory of a recorder grew by 30 MiB per hour.
+    """Reproduce a defect: an earlier table of chunks made the memory of a recorder grow by 30 MiB per hour.
 
     The soak test permits 1 MiB per hour for the whole recorder.
     """

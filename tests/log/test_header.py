@@ -101,17 +101,17 @@ def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> st
     return message
 
 
-@pytest.mark.parametrize("verb", LOG_READING_COMMANDS)
+@pytest.mark.parametrize("command_name", LOG_READING_COMMANDS)
 def test_invalid_period_is_refused_in_one_line(
-    log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
+    log_folder: Path, capsys: pytest.CaptureFixture[str], command_name: str
 ) -> None:
     for period in ("0", "0.5", str(2**64)):
         write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", period_ns=period)
-        assert "period_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
+        assert "period_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[command_name])
     write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", offset_ns=str(2**64))
-    assert "offset_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
+    assert "offset_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[command_name])
     write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", tendons='["\\ud800", ["a"]]')
-    assert "tendons" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
+    assert "tendons" in _refusal_line(capsys, *LOG_READING_COMMANDS[command_name])
 
 
 @pytest.mark.parametrize(
@@ -149,15 +149,15 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "verb",
+    "command_name",
     [
-        verb
-        for verb in LOG_READING_COMMANDS
-        if verb.startswith(("report", "replay", "identify", "view"))
+        command_name
+        for command_name in LOG_READING_COMMANDS
+        if command_name.startswith(("report", "replay", "identify", "view"))
     ],
 )
 def test_a_hand_with_other_names_than_the_columns_is_refused(
-    log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
+    log_folder: Path, capsys: pytest.CaptureFixture[str], command_name: str
 ) -> None:
     def metadata_with_other_name(name: str, old_metadata: dict[str, str]) -> dict[str, str]:
         if name != "handctl.run":
@@ -168,7 +168,7 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
     (log_folder / "odd.mcap").write_bytes(
         log_with_changed_metadata(GOLDEN_LOG.read_bytes(), metadata_with_other_name)
     )
-    assert "names differ" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
+    assert "names differ" in _refusal_line(capsys, *LOG_READING_COMMANDS[command_name])
 
 
 @pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])

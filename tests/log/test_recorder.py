@@ -296,10 +296,12 @@ def test_the_recorder_has_priority_over_other_programs(
 def test_the_header_is_in_the_file_before_the_first_tick(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    notes = {"big.bin": random.Random(1).randbytes(3 << 20)}
-    recorder = start_recorder(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
+    attachments = {"big.bin": random.Random(1).randbytes(3 << 20)}
+    recorder = start_recorder(
+        attachments=attachments, metadata={"note": "a \u00e4"}, wall={"host": "x"}
+    )
     with RunLog(tmp_path / "run.mcap") as log:
-        assert log.header.attachments["big.bin"] == notes["big.bin"]
+        assert log.header.attachments["big.bin"] == attachments["big.bin"]
         assert log.header.attachments["hand.toml"].decode() == log.header.hand_toml
         assert log.header.metadata == {"note": "a \u00e4"}
         assert log.header.wall == {"host": "x"}

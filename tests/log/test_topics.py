@@ -187,8 +187,11 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
         for transform in serialiser.decode(message.data).transforms + tips:
             move, turn = transform.transform.translation, transform.transform.rotation
             origin, frame = pose[transform.header.frame_id]
-            turned = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
-            pose[transform.child_frame_id] = origin + frame.apply([move.x, move.y, move.z]), turned
+            rotation_in_palm = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+            pose[transform.child_frame_id] = (
+                origin + frame.apply([move.x, move.y, move.z]),
+                rotation_in_palm,
+            )
         for digit, joints_of_digit in zip(
             digits, hand_description.digit_joints.values(), strict=True
         ):
@@ -216,13 +219,13 @@ def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
 
 
 def test_frames_form_one_tree() -> None:
-    tree = link_frames(synthetic_run.synthetic_header().hand_toml)
+    link_tree = link_frames(synthetic_run.synthetic_header().hand_toml)
     frame_names = {"palm"}
-    for link in tree:
+    for link in link_tree:
         assert link.parent in frame_names
         assert link.child not in frame_names
         frame_names.add(link.child)
-    assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
+    assert [link.joint for link in link_tree if link.joint >= 0] == list(range(11))
     assert {f"{digit}_tip" for digit in synthetic_run.synthetic_header().digits} <= frame_names
 
 

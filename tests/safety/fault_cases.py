@@ -86,8 +86,8 @@ class FaultCase(NamedTuple):
 def state_input(**values_by_field: object) -> TickInput:
     """Return an input of the safety monitor, with the given values in the named fields of the state.
 
-    If a field of the state applies to the whole run, its value is a single number. The value of any
-    other field is a dictionary from an index to a number.
+    If a field of the state applies to the whole run, its value is a single number. If a field has
+    one number for each index, its value is a dictionary from an index to a number.
     """
     return TickInput(
         {name: c if isinstance(c, dict) else {...: c} for name, c in values_by_field.items()}
@@ -123,8 +123,8 @@ def late_sensor_frames(**age_by_sensor: int) -> TickInput:
 def lost_frames(**lost_frames_by_node: int) -> TickInput:
     """Return an input in which nodes have lost frames in the ticks before the present tick.
 
-    Each keyword is the name of a node. The value of the keyword is the number of frames that the
-    node has lost. Examples of keywords are m1=... for motor 1, and cells=... for the load cells.
+    Each keyword is the name of a node, and its value is the number of frames that this node has
+    lost. Examples of keywords are m1=... for motor 1, and cells=... for the load cells.
     """
     return state_input(
         lost={
@@ -246,9 +246,9 @@ def stuck_motor(motor_index: int, goal_change_m: float) -> TickInput:
 
 
 def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
-    turned = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
+    spool_excursion_m = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
     return state_input(joint_value={joint_index: 0.3}, joint_stuck={joint_index: 50}, joint_anchor={joint_index: 0.0},
-                       measured_joint={joint_index: 0.3}, measured_travel={joint_index: turned})  # fmt: skip
+                       measured_joint={joint_index: 0.3}, measured_travel={joint_index: spool_excursion_m})  # fmt: skip
 
 
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:

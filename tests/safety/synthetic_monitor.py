@@ -107,13 +107,13 @@ class SyntheticMonitor:
         )
         self.constants = self.constants_layout.initial.copy()
         motor_period = np.full(n, 1.0) * motor_period
-        every = SimpleNamespace(period=PERIOD_S, tendon_count=n)
+        model = SimpleNamespace(period=PERIOD_S, tendon_count=n)
         self.set_constants(
             motor_mass=5.0, motor_damping=40.0, coulomb=3.0, mass=5.0, error_gain=4e3,
             stiffness=1e5, spool=SPOOL_RADIUS_M, arms_sum=0.02,
             excursion_to_joints=50.0 * np.eye(n), moves=np.eye(n), period=PERIOD_S, period_ns=PERIOD_NS,
             motor_period=motor_period, joint_period=joint_period,
-            residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]
+            residual_fraction=low_pass_fractions(model, motor_period, joint_period),  # type: ignore[arg-type]
             cell_group=np.arange(n), joint_group=n + np.arange(n), tension_groups=n, mute_ns=30_000_000,
             answers_once=1, digit=np.arange(n), joints_first=np.arange(n), joints_end=np.arange(n) + 1,
             stream_hold_ns=100_000_000, stream_relax_ns=1_000_000_000,
@@ -280,7 +280,7 @@ class SyntheticMonitor:
 def _uncompiled_helper(kernel_helper: Any) -> Any:
     """Return an uncompiled copy of a kernel helper, which is a function that only compiled kernels call.
 
-    If the kernel helper calls other kernel helpers, the copy calls uncompiled copies of them.
+    The copy calls an uncompiled copy of each kernel helper that the original calls.
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper

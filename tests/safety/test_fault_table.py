@@ -122,8 +122,8 @@ def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
 
     The threshold was 15 N even for a drive with a limit of 60 N.
     """
-    tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
-    _, _, reported = check_fault_alone("N14", tick)
+    tick_input = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
+    _, _, reported = check_fault_alone("N14", tick_input)
     assert reported == [("N14", "m1")]
 
 
@@ -324,7 +324,7 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
     In the first tick, the input is just below the limit of the fault. In the following ticks, the
-    fault is present. In the last tick, the hand is at rest without the fault.
+    fault is present. In the last tick, the hand is at rest, and the fault is absent.
 
     The debouncing runs as Python code, without compilation. With debouncing, a fault counts only
     after some ticks in a row.

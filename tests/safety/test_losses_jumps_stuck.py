@@ -47,7 +47,8 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
 class LostFrameWindows(SyntheticMonitor):
     """Safety monitor of a motor and a load cell, with a window of lost frames for each of them.
 
-    A window of lost frames has one bit per tick. The bit is set if the frame of the tick was lost.
+    A window of lost frames is a number with one bit per tick. A bit is set if the frame of its tick
+    was lost.
     """
 
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
@@ -168,8 +169,8 @@ def refusal_counter(control_rate_hz: float) -> Any:
     """Return a function that counts refused targets.
 
     The arguments of the returned function are the number of targets that were refused in a tick,
-    and the index of the tick. The returned function returns the ticks of all refusals that are
-    recent enough to count.
+    and the index of the tick. The returned function returns the ticks of all refusals in the last
+    second.
     """
     window = LostFrameWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -403,7 +404,10 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """If a target jumps because it is reset to the measured position, a motor that does not follow is not stuck."""
+    """A motor that does not follow a jump of its target is not stuck if a reset has caused the jump.
+
+    A reset sets the target to the measured position.
+    """
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -231,8 +231,8 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
 def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported):
     """The monitor reports a fault if the friction exceeds the modelled friction by more than a limit for some seconds.
 
-    In this test, the limit is 3 N plus 10 % of the motor force of 29 N, which is 5.9 N. The 10 %
-    are the tolerance of the torque constant.
+    In this test, the limit is 3 N plus 10 % of the motor force of 29 N, which is 5.9 N. The 10 % of
+    the motor force cover the tolerance of the torque constant.
     """
     monitor = run_ticks(30)[0]
     monitor.set_state_values({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
@@ -272,7 +272,8 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg corresponds to 1.05 mm.
 
-    The limit of 15 deg for the difference between joint and spool applies to unfiltered readings.
+    The limit of 15 deg applies to the difference between the measured angle of the joint and its
+    angle according to the spool, both unfiltered.
     """
 
     def findings_after_slip(deg):
@@ -529,9 +530,8 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    If the drive replies in time, the first tick after the gap gets this reading. If the drive
-    replies one tick late, only the second tick after the gap gets the reading with the motion of
-    five ticks.
+    If the drive replies in time, the reading after the gap arrives in the first tick after the gap.
+    If the drive replies one tick late, the reading arrives in the second tick after the gap.
     """
 
     def noise_and_balance_after_gap(missed_ticks):

@@ -207,8 +207,9 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 ) -> None:
     """The test uses excursions that differ from the limit only in the last four bits.
 
-    The test runs the detector as Python code, without compilation. Without a load cell, a tendon
-    has a smaller limit for the difference between joint and spool.
+    The test runs the detector as Python code, without compilation. For a tendon without a load
+    cell, a smaller limit applies to the difference between the measured angle of the joint and its
+    angle according to the spool.
     """
     monitor.set_constants(cell_group=cell_group)
 

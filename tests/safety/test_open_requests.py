@@ -56,7 +56,7 @@ class OpenRequests(SyntheticMonitor):
         call_interpreted(add_requests, self.state_tables, tick_index)
 
     def receive_replies(self, reply_counts: list[int]) -> list[int]:
-        """Receive ``reply_counts`` replies from each motor.
+        """Receive ``reply_counts[n]`` replies from each motor n.
 
         Return the indices of motors that replied more often than requested.
         """

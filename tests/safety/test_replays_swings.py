@@ -37,8 +37,8 @@ def noisy_readings(seed: int, tick_count: int, noise_N: float, cell_count: int =
 def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     """Return the first tick in which repeated readings are detected, and a list of the affected tendons.
 
-    If no repeated readings are detected, the tick is -1. Each affected tendon is a pair of numbers:
-    the index of the tendon, and the age of its repeated readings [ticks].
+    If no repeated readings are detected, the tick is -1. The list has two numbers for each affected
+    tendon: the index of the tendon, and the age of its repeated readings [ticks].
     """
     monitor = SyntheticMonitor(synthetic_limits(cell_readings.shape[1]))
     for k, row in enumerate(cell_readings):

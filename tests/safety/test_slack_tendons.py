@@ -38,8 +38,8 @@ class FilteredTensionMonitor(SyntheticMonitor):
     ) -> list[tuple[int, int]]:
         """Run a tick with given measured tensions and commanded tensions.
 
-        Return two numbers for each tendon. The first number counts the ticks since the tendon was
-        taut. The second number counts the ticks in which the tendon was slack.
+        Return two counts for each tendon: the ticks since the tendon was last taut, and the ticks
+        in which the tendon was slack.
         """
         self.reported = self.tick(
             residual={TENSION: tension}, wanted=commanded_tension, **value_by_field
@@ -129,9 +129,9 @@ def test_a_snapped_tendon_is_detected(
     tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
     )
-    taut = 20.0 if ticks_since_taut == 0 else 2.2
+    second_tension_N = 20.0 if ticks_since_taut == 0 else 2.2
     tendons.run_tick(
-        [20.0, taut],
+        [20.0, second_tension_N],
         [24.0, commanded_tension_N],
         measured_tension=[20.0, cell_tension_N],
         speed=[0.05, spool_speed],

@@ -98,9 +98,12 @@ def residuals_after(
     rotor = MotorWithTendon()
     for k in range(round(duration_s / PERIOD_S)):
         t = k * PERIOD_S
-        cell = tension_at(t) + noise_N * NOISE_RNG.standard_normal()
+        cell_reading = tension_at(t) + noise_N * NOISE_RNG.standard_normal()
         rotor.run_tick(
-            cell, force_at(t), speed_at(t), None if commanded_force is None else commanded_force(t)
+            cell_reading,
+            force_at(t),
+            speed_at(t),
+            None if commanded_force is None else commanded_force(t),
         )
     return rotor
 
@@ -227,13 +230,9 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
         ]
     )
     chance = 1.0 / (10_000.0 * 3600.0 / PERIOD_S)
-    chance_residual_N = NormalDist(sigma=float(simulated_residuals.std())).inv_cdf(
-        1.0 - chance / 2.0
-    )
-    assert 0.5 < chance_residual_N < 1.5, "the noise was felt"
-    assert chance_residual_N < min(
-        RESIDUAL_WARN_N, EXCESS_FRICTION_WARN_N, TORQUE_DIFFERENCE_LIMIT_N
-    )
+    rare_residual_N = NormalDist(sigma=float(simulated_residuals.std())).inv_cdf(1.0 - chance / 2.0)
+    assert 0.5 < rare_residual_N < 1.5, "the noise was felt"
+    assert rare_residual_N < min(RESIDUAL_WARN_N, EXCESS_FRICTION_WARN_N, TORQUE_DIFFERENCE_LIMIT_N)
 
 
 def test_losses_of_every_second_reply_are_counted():

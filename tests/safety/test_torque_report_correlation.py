@@ -52,10 +52,10 @@ class TorqueReportMonitor(SyntheticMonitor):
 
 
 def motors_after_reports(
-    commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078
+    commanded_forces: np.ndarray, reported_forces: np.ndarray, torque_step: float = 0.078
 ) -> TorqueReportMonitor:
     motors = TorqueReportMonitor(torque_step)
-    for force, report in zip(commanded, reported, strict=True):
+    for force, report in zip(commanded_forces, reported_forces, strict=True):
         motors.run_tick(force, report)
     return motors
 
@@ -72,19 +72,21 @@ def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
     return np.round(reported_force / 0.078) * 0.078
 
 
-def delayed_reports(commanded: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
+def delayed_reports(commanded_forces: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
     """Return the torque reports of drives that obey their commands ``delay_ticks`` ticks late.
 
     Row k of the returned array contains the reports that arrive in tick k.
     """
-    return rounded_to_counts(np.roll(commanded, delay_ticks, axis=0))
+    return rounded_to_counts(np.roll(commanded_forces, delay_ticks, axis=0))
 
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("noise_N", [0.02, 0.05, 0.1, 1.0])
 def test_a_report_that_follows_is_never_doubted(seed: int, noise_N: float) -> None:
-    commanded = noisy_commands(seed, noise_N)
-    assert not motors_with_doubtful_reports(commanded, delayed_reports(commanded)).any()
+    commanded_forces = noisy_commands(seed, noise_N)
+    assert not motors_with_doubtful_reports(
+        commanded_forces, delayed_reports(commanded_forces)
+    ).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -95,11 +97,11 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, step_fraction: flo
     One count in the torque report of an AK80-6 motor is 1.17 N at a spool radius of 5 mm.
     """
     step = 1.17
-    commanded = 90.0 * (
+    commanded_forces = 90.0 * (
         1.0 + 0.01 * np.random.default_rng(seed).random()
     ) + step_fraction * step * (noisy_commands(seed, 1.0) - 90.0)
-    reported = np.round(np.roll(commanded, 1, axis=0) / step) * step
-    assert not motors_after_reports(commanded, reported, step).ever_unfollowed.any()
+    reported_forces = np.round(np.roll(commanded_forces, 1, axis=0) / step) * step
+    assert not motors_after_reports(commanded_forces, reported_forces, step).ever_unfollowed.any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -107,13 +109,13 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, step_fraction: flo
 def test_a_report_of_another_motor_or_of_another_time_is_found(
     seed: int, report_fault: str
 ) -> None:
-    commanded = noisy_commands(seed)
+    commanded_forces = noisy_commands(seed)
     reports = (
-        delayed_reports(commanded)[:, ::-1]
+        delayed_reports(commanded_forces)[:, ::-1]
         if report_fault == "swapped"
-        else delayed_reports(commanded, 26)
+        else delayed_reports(commanded_forces, 26)
     )
-    assert motors_with_doubtful_reports(commanded, reports).all()
+    assert motors_with_doubtful_reports(commanded_forces, reports).all()
 
 
 def test_constant_command_and_constant_report_give_no_verdict() -> None:
@@ -125,21 +127,21 @@ def test_constant_command_and_constant_report_give_no_verdict() -> None:
 
 
 def test_missing_reports_are_left_out() -> None:
-    commanded = noisy_commands(3)
-    reports = delayed_reports(commanded)
+    commanded_forces = noisy_commands(3)
+    reports = delayed_reports(commanded_forces)
     reports[::10] = np.nan
-    state = motors_after_reports(commanded, reports)
+    state = motors_after_reports(commanded_forces, reports)
     assert state.reported_torque_fractions == pytest.approx([1.0, 1.0], abs=0.25)
     assert not state.now_unfollowed
-    silent_motors = motors_after_reports(commanded, np.full_like(reports, np.nan))
+    silent_motors = motors_after_reports(commanded_forces, np.full_like(reports, np.nan))
     assert not silent_motors.now_unfollowed
 
 
 def test_one_outlier_is_not_a_fault() -> None:
-    commanded = noisy_commands(4)
-    reports = delayed_reports(commanded)
+    commanded_forces = noisy_commands(4)
+    reports = delayed_reports(commanded_forces)
     reports[-2] += 50.0
-    assert not motors_after_reports(commanded, reports).now_unfollowed
+    assert not motors_after_reports(commanded_forces, reports).now_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -149,8 +151,10 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
 
     In the demo that ended with N17, a busy host had read each reply one tick late.
     """
-    commanded = noisy_commands(seed, noise_N)
-    assert not motors_with_doubtful_reports(commanded, delayed_reports(commanded, 2)).any()
+    commanded_forces = noisy_commands(seed, noise_N)
+    assert not motors_with_doubtful_reports(
+        commanded_forces, delayed_reports(commanded_forces, 2)
+    ).any()
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -161,8 +165,9 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     has received.
     """
     random = np.random.default_rng(seed)
-    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICK_COUNT, 2), np.nan)
-    obeyed_commands, stalled_tick_count = commanded[0].copy(), 0
+    commanded_forces = noisy_commands(seed)
+    torque_reports = np.full((COMMAND_TICK_COUNT, 2), np.nan)
+    obeyed_commands, stalled_tick_count = commanded_forces[0].copy(), 0
     for k in range(1, COMMAND_TICK_COUNT):
         stalled_tick_count = (
             stalled_tick_count - 1
@@ -170,19 +175,21 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
             else int(random.integers(1, 6)) * int(random.random() < 0.04)
         )
         if stalled_tick_count:
-            commanded[k:] += random.choice((-2.0, 2.0))
+            commanded_forces[k:] += random.choice((-2.0, 2.0))
         else:
-            torque_reports[k], obeyed_commands = obeyed_commands, commanded[k].copy()
-    return commanded, rounded_to_counts(torque_reports)
+            torque_reports[k], obeyed_commands = obeyed_commands, commanded_forces[k].copy()
+    return commanded_forces, rounded_to_counts(torque_reports)
 
 
-def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
+def motors_with_doubtful_reports(
+    commanded_forces: np.ndarray, reported_forces: np.ndarray
+) -> np.ndarray:
     """Return a flag for each of two motors.
 
     The flag is True if the torque reports of the motor did not follow its commands in at least one
     tick.
     """
-    return motors_after_reports(commanded, reported).ever_unfollowed
+    return motors_after_reports(commanded_forces, reported_forces).ever_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -192,9 +199,9 @@ def test_answers_after_a_standstill_are_not_a_fault(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
-    commanded, torque_reports = stalled_commands(seed)
+    commanded_forces, torque_reports = stalled_commands(seed)
     assert motors_with_doubtful_reports(
-        commanded + noisy_commands(seed + 100), torque_reports[:, ::-1]
+        commanded_forces + noisy_commands(seed + 100), torque_reports[:, ::-1]
     ).all()
 
 
@@ -213,11 +220,11 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
     Earlier defect: with the hand orca_like, the fault N14 was reported only at 80 N, and tensions
     reached 208 N.
     """
-    commanded = diverging_commands()
-    torque_reports = delayed_reports(commanded)[:, ::-1]
+    commanded_forces = diverging_commands()
+    torque_reports = delayed_reports(commanded_forces)[:, ::-1]
     torque_reports[0] = 0.0  # delayed_reports puts the last command into this row of the reports
-    motors = motors_after_reports(commanded, torque_reports)
-    assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
+    motors = motors_after_reports(commanded_forces, torque_reports)
+    assert abs(commanded_forces[motors.disobeyed[0]]).max() < 40.0
 
 
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
@@ -225,10 +232,10 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 
     Earlier defect: with the hand orca_like, the detection of a drive without force took 280 ms.
     """
-    commanded = np.full((100, 2), 9.0)
+    commanded_forces = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
-    assert motors_after_reports(commanded, silent).disobeyed[0] <= 30
-    assert not motors_after_reports(commanded * 0.6, silent).disobeyed, (
+    assert motors_after_reports(commanded_forces, silent).disobeyed[0] <= 30
+    assert not motors_after_reports(commanded_forces * 0.6, silent).disobeyed, (
         "N17 and the joint encoders find 5.4 N"
     )
 
@@ -246,40 +253,40 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
         * random.uniform(-1.0, 1.0, (COMMAND_TICK_COUNT, 2))
         * (random.random((COMMAND_TICK_COUNT, 2)) < 0.05)
     )
-    commanded = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
-    commanded += 40.0 * np.sin(np.arange(COMMAND_TICK_COUNT) / 4.0)[:, None]
-    reports = delayed_reports(commanded, ticks)
+    commanded_forces = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
+    commanded_forces += 40.0 * np.sin(np.arange(COMMAND_TICK_COUNT) / 4.0)[:, None]
+    reports = delayed_reports(commanded_forces, ticks)
     lost = np.flatnonzero(random.random(COMMAND_TICK_COUNT - 5) < 0.02) + 2
     reports[lost] = reports[lost - 1] if ticks == 1 else np.nan
-    assert not motors_after_reports(commanded, reports).disobeyed
+    assert not motors_after_reports(commanded_forces, reports).disobeyed
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
     """In this test, the motor current lags behind its command by 4 ms, and the torque constant is 15 % too low."""
-    commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICK_COUNT) // 50 % 2)[:, None] * np.ones(2)
-    torque_reports = np.zeros_like(commanded)
+    commanded_forces = 24.0 + 36.0 * (np.arange(COMMAND_TICK_COUNT) // 50 % 2)[:, None] * np.ones(2)
+    torque_reports = np.zeros_like(commanded_forces)
     for k in range(1, COMMAND_TICK_COUNT):
         torque_reports[k] = torque_reports[k - 1] + (1.0 - np.exp(-0.5)) * (
-            0.85 * commanded[k - 1] - torque_reports[k - 1]
+            0.85 * commanded_forces[k - 1] - torque_reports[k - 1]
         )
-    torque_reports[:10] = commanded[:10]
-    assert not motors_after_reports(commanded, torque_reports).disobeyed
+    torque_reports[:10] = commanded_forces[:10]
+    assert not motors_after_reports(commanded_forces, torque_reports).disobeyed
 
 
 def test_torque_that_comes_separately_is_judged_by_its_mean_only() -> None:
-    commanded = np.full((100, 2), 14.0)
+    commanded_forces = np.full((100, 2), 14.0)
     motors = TorqueReportMonitor()
     motors.set_constants(answers_once=0)
-    for force in commanded:
+    for force in commanded_forces:
         motors.run_tick(force, np.zeros(2))
     assert not motors.disobeyed
 
 
 def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
-    commanded = np.full((100, 2), 24.0)
-    torque_reports = commanded.copy()
+    commanded_forces = np.full((100, 2), 24.0)
+    torque_reports = commanded_forces.copy()
     torque_reports[50] = 0.0
-    assert not motors_after_reports(commanded, torque_reports).disobeyed
+    assert not motors_after_reports(commanded_forces, torque_reports).disobeyed
 
 
 @pytest.mark.parametrize(("cell_group", "period_s"), [([0, 1], PERIOD_S), ([-1, -1], 1e-3)])
@@ -293,9 +300,9 @@ def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     """
     motors = TorqueReportMonitor()
     motors.set_constants(cell_group=cell_group, period=period_s)
-    commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)
-    reports = delayed_reports(commanded, 6)
-    reports[:6] = commanded[:6]
-    for force, report in zip(commanded, reports, strict=True):
+    commanded_forces = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)
+    reports = delayed_reports(commanded_forces, 6)
+    reports[:6] = commanded_forces[:6]
+    for force, report in zip(commanded_forces, reports, strict=True):
         motors.run_tick(force, report)
     assert not motors.disobeyed

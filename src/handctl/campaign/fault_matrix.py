@@ -1,10 +1,11 @@
 """Fault matrix as data: the faults of a hand, and the reaction that each fault requires.
 
-Each row gives a fault, the affected parts of the hand, the stages of the run and the required
-reaction. Each row also has a time limit for the reaction. The reaction time counts from the
-physical event to the CAN frames that carry the reaction. The time limit is a number of ticks. If a
-fault or a drive protocol needs more time, the row adds a number of milliseconds to the ticks. An
-ODrive, for example, reports its state only every 100 ms, and the temperature every 200 ms.
+Each row of the matrix gives a fault, the affected parts of the hand, the stages of the run, the
+required reaction, and the time limit of the reaction. The reaction time counts from the physical
+event to the CAN frames that carry the reaction. The time limit of the reaction is a number of
+ticks. If a fault or a drive protocol needs more time, its row also gives an additional time in
+milliseconds. An ODrive, for example, reports its state only every 100 ms, and the temperature every
+200 ms.
 """
 
 import math
@@ -41,11 +42,11 @@ MIN_LATE_DELAY_TICKS = 1.5
 """Smallest value that the place holder {late} in a fault text gets [control periods]."""
 POSITION_JUMP_RAD = 1.0
 """Step of the position that no drive can make within two control periods [rad]."""
-POSITION_JUMP_MS = 5.0
+POSITION_JUMP_PERIOD_MS = 5.0
 """Control period above which the impossible position step grows in proportion to the period [ms]."""
 POSITION_NOISE_RAD = 0.04
 """Noise of the position that no drive can cause by motion within a control period [rad]."""
-POSITION_NOISE_MS = 5.0
+POSITION_NOISE_PERIOD_MS = 5.0
 """Control period above which the impossible position noise grows with the square of the period [ms]."""
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
@@ -125,7 +126,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return by how many ticks later a hand that lacks sensors is allowed to react to a fault.
+        """Return the number of additional ticks that a hand without some sensors may take to react to a fault.
 
         Args:
             hand: description of the simulated hand.
@@ -165,7 +166,7 @@ class FaultScenario(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return a description of the scenario for reports."""
+        """Return the text that describes the scenario in reports."""
         return (
             f"{self.row.id} {self.fault}"
             + (f" + {self.second_fault}" if self.second_fault else "")
@@ -421,11 +422,11 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
-    comes first. The second fault starts a few ticks later. The first fault affects the first
-    possible part of the hand, such as the first motor, and the second fault affects the last
-    possible part. Some faults can affect only parts that the hand does not have, for example load
-    cells. The function leaves out every pair that contains a fault of a missing part. `period_ms`
-    is the control period [ms].
+    comes first. The second fault starts a few ticks later. The first fault affects the first part
+    of the hand that it can affect, such as the first motor. The second fault affects the last part
+    of the hand that it can affect. Some faults can affect only parts that the hand does not have,
+    for example load cells. The function leaves out every pair that contains a fault of a missing
+    part. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
@@ -463,8 +464,8 @@ def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
         # as a fault.
         "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
         "late": max(MIN_LATE_DELAY_MS, MIN_LATE_DELAY_TICKS * period_ms),
-        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
-        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
+        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_PERIOD_MS),
+        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_PERIOD_MS) ** 2),
     }
     text_by_placeholder = {name: f"{size:g}" for name, size in value_by_placeholder.items()}
     return [
@@ -480,7 +481,7 @@ def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """
     if "{tendon}" in fault:
         has_limit = "{trip}" in fault or "{limit}" in fault
-        names_cell = "cell={tendon}" in fault
+        is_load_cell_fault = "cell={tendon}" in fault
         return [
             {
                 "tendon": tendon.name,
@@ -488,7 +489,7 @@ def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
                 "limit": f"{tendon.drive_limit_N:g}",
             }
             for tendon in hand.tendon
-            if not names_cell or tendon.name in hand.sensor_node.tendons
+            if not is_load_cell_fault or tendon.name in hand.sensor_node.tendons
             # The controller would report a trip tension near the end of the load cell's range as
             # saturation.
             if not has_limit or tendon.tension_trip_N < MAX_READABLE_TRIP_N

@@ -103,7 +103,7 @@ class FaultSequence(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id of the sequence for reports.
+        """Return the id that reports show for the sequence.
 
         All sequences have the same id, because no sequence belongs to a row of the fault matrix.
         """
@@ -111,7 +111,7 @@ class FaultSequence(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return a description of the sequence for reports."""
+        """Return the text that describes the sequence in reports."""
         return f"seed {self.seed}, {self.stage}: " + "; ".join(
             f"{step.tick}: {step.fault}" for step in self.steps
         )

@@ -80,8 +80,8 @@ def hand_with_drives(
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    If the frames of the new drives reduce the control rate of a single bus below
-    ``MIN_CONTROL_RATE_HZ``, the motors are distributed over more buses.
+    If a single bus allows only a control rate below ``MIN_CONTROL_RATE_HZ`` with drives of the
+    given protocol, the motors are distributed over more buses.
 
     Args:
         hand: description of the hand.
@@ -184,12 +184,12 @@ class StagedRun(Protocol):
 
     @property
     def name(self) -> str:
-        """Return the description of the experiment for reports."""
+        """Return the text that describes the experiment in reports."""
         ...
 
     @property
     def id(self) -> str:
-        """Return the id of the experiment for reports.
+        """Return the id that reports show for the experiment.
 
         The id of a scenario is the id of a row of the fault matrix.
         """
@@ -257,18 +257,18 @@ def run_in_forked_processes(
     while waiting_experiments or experiment_by_child:
         while waiting_experiments and len(experiment_by_child) < jobs:
             experiment = waiting_experiments.pop(0)
-            child, reading = run_in_forked_copy(
+            child_pid, read_end = run_in_forked_copy(
                 partial(
                     _run_to_json,
                     partial(run_experiment, simulation, experiment),
                     partial(on_failure, simulation),
                 )
             )
-            experiment_by_child[child] = (reading, experiment)
-        child, status = os.wait()
-        if child in experiment_by_child:
-            reading, experiment = experiment_by_child.pop(child)
-            on_result(_read_result(reading, experiment, status))
+            experiment_by_child[child_pid] = (read_end, experiment)
+        child_pid, wait_status = os.wait()
+        if child_pid in experiment_by_child:
+            read_end, experiment = experiment_by_child.pop(child_pid)
+            on_result(_read_result(read_end, experiment, wait_status))
 
 
 def _run_to_json(
@@ -281,15 +281,15 @@ def _run_to_json(
     return json.dumps(asdict(result))
 
 
-def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
-    """Read the result of an experiment from the pipe of a forked copy that has ended with `status`."""
-    with os.fdopen(reading) as pipe:
+def _read_result(read_end: int, experiment: StagedRun, wait_status: int) -> ScenarioResult:
+    """Read the result of an experiment from the pipe of a child process that has ended with `wait_status`."""
+    with os.fdopen(read_end) as pipe:
         text = pipe.read()
-    if status or not text:
+    if wait_status or not text:
         return ScenarioResult(
             experiment.name,
             experiment.id,
             experiment.stage,
-            problem=f"its process ended with status {status}",
+            problem=f"its process ended with status {wait_status}",
         )
     return ScenarioResult(**json.loads(text))

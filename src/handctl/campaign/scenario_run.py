@@ -189,9 +189,9 @@ def tension_bound(
 ) -> float:
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
-    Only the fault `runaway` makes a drive pull harder than commanded. For every other fault, the
-    result is the largest of all trip tensions and start tensions. A single reading above the trip
-    tension makes the hand relax.
+    Only the fault `runaway` makes a drive pull harder than commanded. For a fault other than
+    `runaway`, the result is the largest of all start tensions and trip tensions. A single reading
+    above the trip tension of a tendon makes the hand relax.
 
     Args:
         simulation: simulation of the run.
@@ -292,9 +292,9 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        Before the first effect of the fault, the method returns -1. After the first effect, the
-        method returns the time of the present tick until the motor force has varied enough for a
-        detection.
+        Before the first effect of the fault, the method returns -1. If the detection needs a
+        varying motor force, the method returns the time of the present tick until the force has
+        varied enough. For all other faults, the reaction time counts from the first effect.
 
         Args:
             simulation: simulation after the present tick.

@@ -261,7 +261,7 @@ class Drive(Protocol):
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check on this drive."""
+        """Return the properties of the drive that handctl cannot check, each with the reason."""
         ...
 
     @property

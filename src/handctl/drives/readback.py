@@ -14,8 +14,8 @@ the node number, so that drives with different node numbers get their requests a
 
 If a setting needs only one frame for the request and one frame for the answer, the protocol
 describes both frames as a ``SettingRecheck``. While the drive is steady, compiled code in
-``core.wire.cyclic_frames`` sends the request and accepts a reply with the required value. The state
-machine of the drive handles every other reply.
+``core.wire.cyclic_frames`` sends the request and accepts a reply that contains the required value
+of the setting. The state machine of the drive handles all other replies.
 """
 
 from typing import NamedTuple

@@ -42,7 +42,7 @@ def highest_clear_angle(
 ) -> float:
     """Return the highest angle to which digits can move together without touching a digit [rad].
 
-    All digits that are not named are open.
+    Digits that are not in ``scales_of_digit`` stay open.
 
     Args:
         hand: description of the hand.
@@ -96,7 +96,7 @@ def _clear_fraction(hand: Hand, ends_of_digit: Mapping[str, tuple[Array, Array]]
 def _distances_to_other_digits(
     tree: LinkTree, link_axes: Sequence[Array], digit_index: int
 ) -> Array:
-    """Return the distance of the surfaces of each link of a digit and each link of all other digits [m].
+    """Return the distances between the surfaces of the links of a digit and the links of all other digits [m].
 
     The result has one row for each link of the digit, and one column for each link of the other
     digits. Links are capsules.

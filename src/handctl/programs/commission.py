@@ -234,7 +234,7 @@ class CommissionProgram:
     def _begin_holding_digit(
         self, model: HandModel, progress: ProgramProgress, t: float, is_taut: bool
     ) -> ProgressAndEvents:
-        """Press the digit of the present tendon against its lower joint limits, with all tendons taut.
+        """Press the digit of the present step's tendon against its lower joint limits, with all tendons taut.
 
         Args:
             model: model of the hand.
@@ -470,8 +470,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that a wrong tendon was pulled. If the other tendons have no load
-    cells, the text states that swapped tendons are not checked.
+    Only load cells can show that a wrong tendon was pulled. If no tendon except tendon i has a load
+    cell, the text states that swapped tendons are not checked.
 
     Args:
         model: model of the hand.

@@ -7,7 +7,7 @@ move. If the load cell of a slack tendon drifted by 4 N, its reading would look 
 (fault T06). Therefore the load cells of slack tendons are tared again before each digit moves.
 
 The identification chooses the steps of the excitation. In the log, the name of each phase consists
-of the digit and the step. Therefore every tick of the log can be assigned to a step.
+of the digit and the step, so that every tick of the log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -190,9 +190,10 @@ def _with_slack_readings(
 ) -> ProgramProgress:
     """Return a copy of the progress whose record includes the load-cell readings of slack tendons in this tick.
 
-    The record is a table (2, N). The first row has the sum of the readings of each tendon [N], and
-    the second row has the number of readings. The readings of the excited digit are not used,
-    because the identification determines the offsets of these load cells.
+    The record is a table (2, N). The first row contains the sum of the load-cell readings of each
+    tendon [N]. The second row contains the number of readings in each sum. The readings of the
+    excited digit are not used, because the identification determines the offsets of these load
+    cells.
     """
     table = np.array(progress.record or (0.0,) * (2 * model.tendon_count)).reshape(2, -1)
     is_usable = estimate.is_slack & ~np.isnan(measurements.tension)

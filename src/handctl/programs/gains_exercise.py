@@ -265,7 +265,8 @@ def largest_exercise(hand: Hand) -> tuple[float, tuple[tuple[str, ...], ...]]:
 def _clear_amplitude(hand: Hand, digit_names: tuple[str, ...]) -> float:
     """Return the largest amplitude at which the named digits, moving together, touch no digit.
 
-    The amplitude is a multiple of ``AMPLITUDE_STEP``. It is 0 if the digits touch at all amplitudes.
+    The amplitude is a multiple of ``AMPLITUDE_STEP``. The amplitude is 0 if the digits touch at all
+    amplitudes.
     """
     scales = {name: _coordinate_scales(DigitModel.from_hand(hand, name)) for name in digit_names}
     clear_angle = highest_clear_angle(hand, scales, HOME_ANGLE_RAD, HOME_ANGLE_RAD + FULL_MOVE_RAD)
@@ -331,7 +332,8 @@ def _goal_of_open_digit(
 ) -> DigitGoal:
     """Return the goal with which digit d opens and stays open while other digits move.
 
-    Springs open the digit against the tension floor. A digit without springs is moved to the angle 0.
+    Springs open the digit while its tendons keep the smallest allowed tension. A digit without
+    springs is moved to the angle 0.
     """
     digit = model.digits[d]
     if any(digit.spring_stiffness):

@@ -345,7 +345,7 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit that begins at the digit's present motion reference (3, n).
+    """Return a move that begins at the digit's present motion reference (3, n): position, rate and acceleration.
 
     Without a reference, the move begins at the estimated coordinates.
     """
@@ -384,7 +384,7 @@ def _reach_problem(
         units.names[worst_coordinate],
         FOLLOW_SPEED_DEG_S * units.displayed_per_degree[worst_coordinate],
     )
-    speed_problem = (
+    too_fast_text = (
         f"at up to {peak:.0f} {unit}/s, expected at most {limit:.4g} {unit}/s: give it more time"
     )
-    return "" if peak <= limit else speed_problem
+    return "" if peak <= limit else too_fast_text

@@ -255,14 +255,14 @@ def requests_and_stream_targets(
     Return two tuples: the other requests, and the targets. Requests and targets keep their original
     order.
     """
-    other_texts = list[str]()
+    other_requests = list[str]()
     targets = list[TickRequest]()
     for request in requests:
         if isinstance(request, StreamTarget) or is_stream_target(request):
             targets.append(request)
         else:
-            other_texts.append(request)
-    return tuple(other_texts), tuple(targets)
+            other_requests.append(request)
+    return tuple(other_requests), tuple(targets)
 
 
 _KEEP_ALIVE_PREFIX = '{"do": "alive", '

@@ -214,8 +214,8 @@ def nearest_holdable_posture(
     """Return the nearest coordinates [rad] at which taut tendons can balance springs and gravity.
 
     A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
-    joints, an inner tendon would have to push, and would become slack. For a slack tendon, the
-    safety monitor would report a fault.
+    joints, an inner tendon would have to push, and would become slack. A slack tendon would make
+    the safety monitor report a fault.
 
     Args:
         digit: model of the digit.

@@ -113,8 +113,8 @@ class HoldPhase(Document):
 class ReleasePhase(Document):
     """Lower the tensions.
 
-    After the release, all digits count as digits without contact. A later hold phase applies to a
-    digit only after a new contact.
+    After the release, all digits count as digits without contact. A hold phase after the release
+    acts only on digits that have made contact again.
     """
 
     kind: Literal["release"]
@@ -179,8 +179,8 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
 def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve on which one coordinate has given angles [rad] at given times [s].
 
-    The computation of a curve takes up to 1 ms. The check of a task computes all curves, and a
-    phase that begins later takes the curves from the cache.
+    The computation of a curve takes up to 1 ms. The check of a task computes all curves of the task
+    and stores the curves in a cache. A phase takes its curves from this cache.
     """
     return CurveTrajectory.curve_through_points(times_s, angles, 1)
 

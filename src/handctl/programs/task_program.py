@@ -70,7 +70,8 @@ A digit at rest touches no new object, and creeping friction can resemble a cont
 class TaskProgram:
     """Program that executes the phases of a task.
 
-    Step 0 takes up the slack of the tendons. Step n is phase n - 1 of the task.
+    Step 0 of the program takes up the slack of the tendons. Each later step n executes phase n - 1
+    of the task.
     """
 
     task: Task

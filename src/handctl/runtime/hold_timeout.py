@@ -37,7 +37,7 @@ class HoldTimeout:
         self._requests.clear()
         return requests
 
-    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Observe a tick, see ``RunObserver``."""
         for event in tick_output.events:
             if event.name == "fault":
@@ -46,8 +46,8 @@ class HoldTimeout:
             self._hold_start_ns = -1
             return
         if self._hold_start_ns < 0:
-            self._hold_start_ns = entry.t_ns
-        if entry.t_ns - self._hold_start_ns > MAX_HOLD_S * 1e9 and not self.stop_reason:
+            self._hold_start_ns = tick_input.t_ns
+        if tick_input.t_ns - self._hold_start_ns > MAX_HOLD_S * 1e9 and not self.stop_reason:
             self.stop_reason = self._fault or "a fault"
             self._requests.append(STOP_REQUEST)
 

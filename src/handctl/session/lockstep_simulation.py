@@ -106,7 +106,7 @@ class SimulatorSettings:
             ConfigError: the simulated hand cannot be constructed.
         """
         with tempfile.TemporaryDirectory(prefix="handctl-simulated-") as folder:
-            peer = load_simulator(
+            simulated_hand = load_simulator(
                 SIMULATED_HAND_ENTRY,
                 hand_path=self._hand_file(Path(folder)),
                 scene=self._scene_file(Path(folder)),
@@ -120,9 +120,9 @@ class SimulatorSettings:
                 serials=self.serials,
             )
         try:
-            yield cast(SimulatedHand, peer)
+            yield cast(SimulatedHand, simulated_hand)
         finally:
-            peer.close()
+            simulated_hand.close()
 
     def check_hand_constructible(self) -> None:
         """Raise an error if the simulated hand cannot be constructed. See ``simulated_hand``."""
@@ -135,8 +135,8 @@ class SimulatorSettings:
 
         See ``simulated_hand``.
         """
-        with self.simulated_hand(period_ns) as peer:
-            yield LockstepClock(peer, period_ns)
+        with self.simulated_hand(period_ns) as simulated_hand:
+            yield LockstepClock(simulated_hand, period_ns)
 
     @contextmanager
     def begin_run(self, controller: Controller) -> Iterator["SimulatedRun"]:
@@ -144,8 +144,8 @@ class SimulatorSettings:
 
         See ``simulated_hand``.
         """
-        with self.simulated_hand(round(1e9 * controller.model.period)) as peer:
-            yield SimulatedRun.start_run(controller, peer)
+        with self.simulated_hand(round(1e9 * controller.model.period)) as simulated_hand:
+            yield SimulatedRun.start_run(controller, simulated_hand)
 
     def _hand_file(self, folder: Path) -> str:
         if not isinstance(self.hand, Hand):
@@ -232,8 +232,8 @@ class SimulatedRun:
             max_duration_s: longest duration of the run [s].
         """
         while self.k * self.period_ns < max_duration_s * 1e9:
-            entry, tick_output = self._run_controller_tick((), (), 0)
-            yield entry, tick_output
+            tick_input, tick_output = self._run_controller_tick((), (), 0)
+            yield tick_input, tick_output
             if tick_output.mode == HandMode.DONE:
                 return
             self._advance_simulated_hand()
@@ -257,14 +257,14 @@ class SimulatedRun:
     ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
         bus_events = tuple(IoEvent(*event) for event in self._bus.take_events())
-        entry = TickIn(
+        tick_input = TickIn(
             self.k, self.k * self.period_ns, late_ns, frames, bus_events + io_events, requests
         )
-        self.state, self.last_output = self.controller.tick(self.state, entry)
+        self.state, self.last_output = self.controller.tick(self.state, tick_input)
         if self.are_ticks_recorded:
-            self.recorded_ticks.append((entry, self.last_output))
+            self.recorded_ticks.append((tick_input, self.last_output))
         self._bus.send(self.last_output.frames)
-        return entry, self.last_output
+        return tick_input, self.last_output
 
     def _advance_simulated_hand(self) -> None:
         self.k += 1
@@ -295,13 +295,14 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
 def simulate_controller(
     controller: Controller,
     simulator: SimulatorSettings,
-    on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
+    on_tick: Callable[[TickIn, TickOut], None] = lambda tick_input, out: None,
     max_duration_s: float = math.inf,
     max_held_s: float = math.inf,
 ) -> ControllerState:
     """Run a controller with a simulated hand until the controller is done.
 
-    The time of a program stops while a fault holds the hand, so that a held run might never end.
+    While the reaction to a fault is HOLD, the time of the program stops. Without a limit, a run
+    with such a fault might never end.
 
     Args:
         controller: controller with its program.
@@ -317,8 +318,8 @@ def simulate_controller(
     held_ticks = 0
     with simulator.begin_run(controller) as run:
         run.are_ticks_recorded = False
-        for entry, tick_output in run.run_ticks(max_duration_s):
-            on_tick(entry, tick_output)
+        for tick_input, tick_output in run.run_ticks(max_duration_s):
+            on_tick(tick_input, tick_output)
             held_ticks += (
                 tick_output.mode == HandMode.ACTIVE and tick_output.action >= SafetyAction.HOLD
             )

@@ -115,8 +115,8 @@ def make_controller(
 ) -> Controller:
     """Construct the controller of a run.
 
-    The function also designs the controller with the gains of the plan. If numba must compile code
-    before the design, the function shows a progress bar.
+    The function also designs the controller with the gains of the run plan. If numba must first
+    compile code, the function shows a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -137,7 +137,7 @@ class RunObserver(Protocol):
         """Return the requests that the observer has made since the last call."""
         ...
 
-    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Receive the input and the output of a finished tick."""
         ...
 
@@ -337,11 +337,11 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def record_snapshot(entry: TickIn, state: ControllerState) -> None:
+    def record_snapshot(tick_input: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
-        if entry.t_ns >= due_ns:
-            due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
-            recorder.send_record(pack_snapshot(entry, snapshot_bytes(state)))
+        if tick_input.t_ns >= due_ns:
+            due_ns = tick_input.t_ns + SNAPSHOT_PERIOD_NS
+            recorder.send_record(pack_snapshot(tick_input, snapshot_bytes(state)))
 
     return record_snapshot
 
@@ -355,8 +355,8 @@ def _build_loop(
     receive_requests: Callable[[], tuple[TickRequest, ...]],
     show_tick: Callable[[TickIn, TickOut], None],
 ) -> ControlLoop[ControllerState]:
-    def record_tick(entry: TickIn, tick_output: TickOut) -> None:
-        recorder.send_record(pack_tick_record(entry, tick_output))
+    def record_tick(tick_input: TickIn, tick_output: TickOut) -> None:
+        recorder.send_record(pack_tick_record(tick_input, tick_output))
 
     take_suspend_events = (
         SuspendWatch().take_events if isinstance(clock, RealClock) else list[IoEvent]
@@ -430,9 +430,9 @@ def _merge_observers(observer: RunObserver | None, other_callback: TickCallback)
     if observer is None:
         return other_callback
 
-    def show_tick(entry: TickIn, tick_output: TickOut) -> None:
-        observer.on_tick(entry, tick_output)
-        other_callback(entry, tick_output)
+    def show_tick(tick_input: TickIn, tick_output: TickOut) -> None:
+        observer.on_tick(tick_input, tick_output)
+        other_callback(tick_input, tick_output)
 
     return show_tick
 
@@ -456,13 +456,13 @@ class PublishedState:
 def _publish_tick(
     observations: ObservationWriter,
     published_state: PublishedState,
-    entry: TickIn,
+    tick_input: TickIn,
     tick_output: TickOut,
     state: ControllerState,
     sent_ns: int,
 ) -> None:
     """Write the observation of a tick, and store the values that status lines show."""
-    observations.write_record(entry, tick_output, stream_status(state), sent_ns)
+    observations.write_record(tick_input, tick_output, stream_status(state), sent_ns)
     published_state.commander = state.decisions.commanding_client
 
 
@@ -479,18 +479,20 @@ def _status_callback(
     """
     ticks_per_status = max(1, round(rate_hz / STATUS_RATE_HZ))
 
-    def show_tick(entry: TickIn, tick_output: TickOut) -> None:
+    def show_tick(tick_input: TickIn, tick_output: TickOut) -> None:
         if display:
-            display.show_tick(entry, tick_output)
+            display.show_tick(tick_input, tick_output)
         if (
-            mailbox.watchers and (entry.k % ticks_per_status == 0 or tick_output.events)
+            mailbox.watchers and (tick_input.k % ticks_per_status == 0 or tick_output.events)
         ) or mailbox.askers:
-            mailbox.publish_status(status_of_tick(entry, tick_output, published_state.commander))
+            mailbox.publish_status(
+                status_of_tick(tick_input, tick_output, published_state.commander)
+            )
 
     return show_tick
 
 
-def _ignore_tick(entry: TickIn, tick_output: TickOut) -> None:
+def _ignore_tick(tick_input: TickIn, tick_output: TickOut) -> None:
     return
 
 

@@ -39,7 +39,7 @@ With two ticks within the watchdog time, a single lost frame does not disable a 
 class OperatorDisplay(Protocol):
     """Display that shows the operator the state of a running hand."""
 
-    def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def show_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Show the state of the hand after a tick."""
         ...
 

@@ -29,9 +29,9 @@ def late_run_advice(plan: RunPlan, outcome: RunOutcome) -> str:
 def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     """Return a time scale at which this machine is fast enough.
 
-    The result follows from the computing times of a slow run. Simulator and controller use one core
-    each. On a machine with a single core, simulator and controller share this core. The simulator
-    reports its own computing time.
+    The function computes the time scale from the computing times of a run that was too slow.
+    Simulator and controller use one core each. On a machine with a single core, simulator and
+    controller share this core. The simulator reports its own computing time.
 
     Args:
         plan: plan of the run.

@@ -176,7 +176,7 @@ class VerifyObserver:
         self._requests = []
         return requests
 
-    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Observe a tick, see `RunObserver`."""
         if tick_output.phase == "settle" and self._last_phase != "settle":
             self._round_number += 1
@@ -185,18 +185,18 @@ class VerifyObserver:
                 self._request_gains(self.new_gains, self.old_gains)
         self._last_phase = tick_output.phase
         if tick_output.phase != "move":
-            self._lag_start_ns = entry.t_ns
+            self._lag_start_ns = tick_input.t_ns
         elif self.blocked is None and tick_output.mode == HandMode.ACTIVE:
             names = self._blocked_names(tick_output)
-            self._lag_start_ns = self._lag_start_ns if names else entry.t_ns
-            if entry.t_ns - self._lag_start_ns >= BLOCKED_DURATION_NS:
+            self._lag_start_ns = self._lag_start_ns if names else tick_input.t_ns
+            if tick_input.t_ns - self._lag_start_ns >= BLOCKED_DURATION_NS:
                 self.blocked = self._blocked_digit(tick_output, names)
-        torque_rate = self._torque_rate(entry, tick_output)
+        torque_rate = self._torque_rate(tick_input, tick_output)
         if self._round_number <= self.rounds_with_old_gains:
             self._max_torque_rate = max(self._max_torque_rate, torque_rate)
         elif self.rollback is None and (reason := self._violated_limit(tick_output, torque_rate)):
             amplitude = self.amplitudes[self._round_number - 1]
-            self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
+            self.rollback = GainsRollback(tick_input.t_ns / 1e9, tick_input.k, amplitude, reason)
             self._request_gains(self.old_gains, self.new_gains)
 
     def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
@@ -256,7 +256,7 @@ class VerifyObserver:
         """Return the number of joints of each digit."""
         return [len(digit.joints) for digit in self.hand.digit]
 
-    def _torque_rate(self, entry: TickIn, tick_output: TickOut) -> float:
+    def _torque_rate(self, tick_input: TickIn, tick_output: TickOut) -> float:
         """Return the RMS of the motor torques' rate of change over the window up to this tick [N m/s]."""
         torque = tick_output.telemetry.motor_torque_goal
         torque_before = self._last_torque
@@ -265,7 +265,7 @@ class VerifyObserver:
             return 0.0
         # The observer does not know the control rate. Therefore the observer uses the mean period
         # of the ticks so far.
-        period = entry.t_ns / max(entry.k, 1) / 1e9
+        period = tick_input.t_ns / max(tick_input.k, 1) / 1e9
         self._squared_torque_rates.append(
             float(np.square(torque - torque_before).mean()) / period**2
         )

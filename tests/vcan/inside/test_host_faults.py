@@ -82,7 +82,7 @@ class FaultObserver:
     def poll_requests(self) -> tuple[str, ...]:
         return ()
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, out: TickOut) -> None:
         self.modes.append(out.mode)
         self.pulled += out.mode == HandMode.ACTIVE
         if (

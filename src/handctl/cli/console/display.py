@@ -88,18 +88,18 @@ class DisplayProcess:
             bus_load,
         )
 
-    def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def show_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Send a line about the tick to the display process.
 
         The method sends lines only about ticks with an event, and about one tick in each period of
         ``REFRESH_PERIOD_S``.
         """
-        self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
-        if entry.k % self.ticks_per_line and not tick_output.events:
+        self.worst_late_ns = max(self.worst_late_ns, tick_input.late_ns)
+        if tick_input.k % self.ticks_per_line and not tick_output.events:
             return
         line = {
-            "k": entry.k,
-            "t": entry.t_ns / 1e9,
+            "k": tick_input.k,
+            "t": tick_input.t_ns / 1e9,
             "mode": HandMode(tick_output.mode).name,
             "phase": tick_output.phase,
             "late_us": self.worst_late_ns / 1e3,
@@ -111,7 +111,7 @@ class DisplayProcess:
             "events": [
                 [event.level, self._event_text(event)]
                 for event in tick_output.events
-                if self._is_due(entry.t_ns, event)
+                if self._is_due(tick_input.t_ns, event)
             ],
         }
         self.worst_late_ns = 0

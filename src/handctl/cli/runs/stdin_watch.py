@@ -36,7 +36,7 @@ class StdinWatch:
         self.input_ended = True
         return (STOP_REQUEST,)
 
-    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
+    def on_tick(self, tick_input: TickIn, tick_output: TickOut) -> None:
         """Do nothing after a tick of the run.
 
         The interface ``session.run.RunObserver`` requires this method.

@@ -263,7 +263,7 @@ class Cia404LoadCells:
         return Frame(self.sync_id, b"", bus=self.bus)
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival time of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
+        """Return the earliest time [ns] at which an answer to a SYNC sent after ``sync_ns`` can arrive."""
         return sync_ns + MIN_ANSWER_DELAY_NS
 
     def answers(self, data: bytes, counter: int) -> bool:

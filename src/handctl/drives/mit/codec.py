@@ -367,7 +367,7 @@ def _signal_over_range(
     name: str,
     quantity: SignalQuantity,
     start: int,
-    length: int,
+    bit_count: int,
     largest: float,
     unit: str,
     direction: int = 1,
@@ -375,12 +375,12 @@ def _signal_over_range(
     """Return the description of a signal with values from -largest to largest."""
     # The highest count means +largest, so the range consists of 2^n - 1 steps of one count. A
     # negative sign of the direction reverses scale and offset.
-    scale = direction * 2 * largest / ((1 << length) - 1)
+    scale = direction * 2 * largest / ((1 << bit_count) - 1)
     return Signal(
         name,
         quantity,
         start,
-        length,
+        bit_count,
         True,
         SignalCoding.UNSIGNED,
         scale,

@@ -7,7 +7,7 @@ The identifier of a request always has 29 bits. The identifier of a reply has 11
     request prefix (0)     1 reply wanted    source (host)   destination (node)
     reply   prefix (0)     0                 source (node)   destination (host)
 
-A payload is a sequence of subframes. The rest of the payload is filled with bytes 50 (no
+A payload is a sequence of subframes. Unused bytes at the end of a payload have the value 0x50 (no
 operation). The field type of a subframe is 0 for int8 values, 1 for int16, 2 for int32, and 3 for
 float32. The lowest two bits of the first byte of a subframe contain the number of values, if the
 number of values is 1 to 3. A larger number of values is a varuint after the first byte:

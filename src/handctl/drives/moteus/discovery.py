@@ -98,7 +98,9 @@ def _describe_drive(
     has_error = mode in (codec.FAULT_MODE, codec.TIMED_OUT)
     error = error_text(fault if mode == codec.FAULT_MODE and fault else mode) if has_error else ""
     version = values.get(codec.FIRMWARE_VERSION, 0)
-    firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
+    firmware_version = (
+        ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
+    )
     words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
     is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, codec.SERIAL_NUMBER)
@@ -109,7 +111,7 @@ def _describe_drive(
     return DiscoveredNode(
         "moteus",
         node_number,
-        firmware,
+        firmware_version,
         serial,
         state,
         error,

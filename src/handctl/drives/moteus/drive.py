@@ -219,7 +219,7 @@ class MoteusDrive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return no settings for compiled code, because each read-back over the text channel needs several frames."""
+        """Return no settings that compiled code reads again, because each text read-back needs several frames."""
         return ()
 
     def steady_status(self, state: DriveState) -> int:

@@ -74,9 +74,8 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
     The host reads the configuration items again while the drive is enabled. With a limit of
     velocity or acceleration, the drive would plan its own trajectory to the commanded position.
     With a finite limit of the position slip, the drive would move the commanded position towards
-    the position of a motor that lags behind. In the order of the items, at least one of two
-    consecutive items has a required value that differs from the default, see
-    ``REQUIRED_CONFIGURATION``.
+    the position of a motor that lags behind. Of two consecutive items, at least one has a default
+    value that differs from the required value, see ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (

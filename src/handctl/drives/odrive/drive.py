@@ -204,7 +204,7 @@ class OdriveDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check with the present options of the motor."""
+        """Return the properties that handctl cannot check with the present options of the motor, with reasons."""
         return endpoints.unchecked_properties(self.settings, self.firmware_05)
 
     @property
@@ -476,7 +476,7 @@ class OdriveDrive:
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next drive state, and the requests for the next endpoint and for feedback."""
+        """Return the next drive state, the request for the next endpoint, and the requests for feedback."""
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if problem:
@@ -489,9 +489,9 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state, and the requests for feedback of a drive that has sent feedback before.
 
-        Before each enable command, the host verifies the settings of the drive again. Other drives
-        may be enabled at that time. The host also requests feedback from the present drive, because
-        missing feedback would count as a fault.
+        Before each enable command, the host verifies the settings of the drive again, while other
+        drives may already be enabled. During the verification, the host also requests feedback from
+        the drive, because missing feedback would count as a fault.
         """
         return self._feedback_requests(state, t_ns) if state.feedback_count else (state, ())
 

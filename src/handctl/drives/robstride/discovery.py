@@ -62,7 +62,8 @@ def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return the description of a discovered motor.
 
-    The argument ``serials`` contains all serial numbers that were received from the motor number.
+    The argument ``serials`` contains all serial numbers that motors with this node number have
+    sent.
     """
     is_number_used_twice = len(serials) > 1
     notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (

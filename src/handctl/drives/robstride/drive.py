@@ -176,9 +176,9 @@ class RobstrideDrive:
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of requests from this host, and of commands with zero torque.
 
-        Torque commands have a different identifier for each torque, 65536 identifiers in all. The
-        set omits the identifiers of all torques except zero. The requests of another host are
-        sufficient to detect the other host.
+        Torque commands have a different identifier for each torque, 65536 identifiers in all. Of
+        the torque commands, the set contains only the identifier of zero torque. The requests of
+        another host are sufficient to detect the other host.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUEST_TYPES}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})

@@ -141,7 +141,7 @@ class SensorInterface(Protocol):
         ...
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival time of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
+        """Return the earliest time [ns] at which an answer to a SYNC sent after ``sync_ns`` can arrive."""
         ...
 
     def answers(self, data: bytes, counter: int) -> bool:

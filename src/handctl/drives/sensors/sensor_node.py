@@ -201,7 +201,7 @@ class SensorNode:
 
     @property
     def amplifier_frame_ranges(self) -> tuple[range, ...]:
-        """Return no ranges of frames, because the node has no amplifiers."""
+        """Return no ranges of frames, because no amplifier of the node needs a set-up."""
         return ()
 
     @property
