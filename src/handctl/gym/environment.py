@@ -360,8 +360,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Convert joint angles (J,) to the quantities for which an action contains targets (V,).
 
-        The quantities are the joint angles themselves, or the mean of the coordinates of each
-        digit.
+        In the space ``joint``, an action contains targets for joint angles. In the space ``digit``,
+        an action contains a target for the mean of the coordinates of each digit.
 
         The conversion does not change the unit of the angles.
         """
@@ -447,7 +447,8 @@ def _controller_of_file(path: str) -> Controller:
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest allowed targets of an action [deg].
 
-    Each of the two results has one value for each joint or digit, shape (V,).
+    The lowest and the highest targets are arrays with one value for each joint or digit, shape
+    (V,).
 
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """
