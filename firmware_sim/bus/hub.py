@@ -85,7 +85,8 @@ class HubConnection:
     def deliver(self, records: bytes) -> None:
         """Send whole records.
 
-        If the kernel does not accept a record, the connection drops and counts the record.
+        If the send buffer of the socket has no room for a record, the connection drops and counts
+        the record.
         """
         count = len(records) // RECORD_SIZE
         if not self.flush():

@@ -133,7 +133,7 @@ class TimedPort:
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the next frames whose transmission on the wire has ended.
 
-        If the transmission of no frame has ended yet, return an empty list.
+        If no transmission has ended since the last call, return an empty list.
 
         The class ``bus_ports.BusPort`` describes how to call this method.
         """
@@ -154,8 +154,8 @@ class TimedPort:
     def _report_queues(self) -> None:
         """Report to each client how many frames of the client have left the send queue.
 
-        From the report, a client computes the number of frames that are still in the queue. When
-        the queue is full, the client can refuse to send a frame.
+        From the reported number, a client computes how many frames are still in its send queue.
+        When the queue is full, the client can refuse to send a frame.
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
@@ -233,8 +233,8 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        The wire can carry an answer from the time on when the last received frame ended. See
-        ``bus_ports.BusPort.send``.
+        The transmission of an answer begins at the earliest at the end of the last received frame.
+        See ``bus_ports.BusPort.send``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)

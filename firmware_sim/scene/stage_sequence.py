@@ -167,9 +167,9 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the two vectors are opposite, the result has the direction of ``start`` as long as the
-    straight line to ``end`` has not passed zero. After zero, the result has the direction of
-    ``end``.
+    If the two vectors have opposite directions, the result first has the direction of ``start``.
+    When the linear interpolation between the two vectors has passed zero, the result has the
+    direction of ``end``.
 
     Args:
         start: vector at fraction 0.
