@@ -112,7 +112,9 @@ MIN_READINGS = 3
 
 @dataclass(frozen=True, slots=True)
 class SpoolPairWindows:
-    """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
+    """Signals of a spool pair, averaged with a time window.
+
+    Each array has one value per window, shape (m,).
 
     Attributes:
         motor: windows of the motor equation. In the windows of a spool pair, the tension is not
@@ -579,9 +581,9 @@ def _start_parameters(windows: SpoolPairWindows) -> Array:
 def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension at the start of the fit is too small, the solver can find a wrong solution. In
-    the wrong solution, one tendon is slack and the stiffness is twice as large. The solver cannot
-    leave the wrong solution in small steps.
+    If the pretension at the start of the fit is too small, the solver can find a wrong solution
+    with one slack tendon and twice the true stiffness. The solver cannot leave the wrong solution
+    in small steps.
     """
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:

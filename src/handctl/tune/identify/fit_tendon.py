@@ -157,7 +157,7 @@ class TendonFitProblem:
         )
 
     def start_parameters(self) -> Array:
-        """Return the scaled parameters at which the fit starts (15 + k,).
+        """Return the scaled start values of the fit: 15 parameters, and k values of the load-cell drift (15 + k,).
 
         The first 15 parameters start at the values from `parameter_scales`. The stretch offset is
         an exception, and starts at an estimate from the data. The last k parameters describe the
@@ -383,9 +383,9 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 
 
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
-    """Return the tension ramp with the largest score in the residuals of the free sweeps.
+    """Return the most significant tension ramp in the residuals of the sweeps in free motion.
 
-    If there are no free sweeps, return None.
+    If the digit made no sweeps in free motion, return None.
     """
     free_bins = problem.free_motion_bins
     load = problem.digit_load

@@ -287,7 +287,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
 def margins_by_loop(
     model: HandModel, factors: PlantFactors = NOMINAL_FACTORS
 ) -> dict[tuple[str, LoopKind], LoopMargins]:
-    """Return the confirmed margins of both loops of every tendon."""
+    """Return the margins of both loops of every tendon, confirmed by the eigenvalues of the closed loops."""
     names = model.hand.tendon_names
     return {
         (name, kind): confirmed_margins(open_loop(model, i, kind, factors))
