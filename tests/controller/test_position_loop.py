@@ -520,7 +520,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
 ) -> None:
     """A moteus command contains fractions of the drive's gains kp and kd. Both fractions are limited to 1.
 
-    Without this limit, the controller would use fractions above 1 for a moteus drive that makes
+    Without the limit of 1, the controller would send fractions above 1 to a moteus drive that makes
     less torque than commanded.
     """
     hand = hand_with_position_loop(protocol="moteus")

@@ -337,8 +337,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 ) -> None:
     """Reproduce a defect: the report gave the wrong reason why spring parameters were not identified.
 
-    The report stated "no data depend on this parameter". The correct reason is "needs joint
-    encoders", which holds for digits with several tendons.
+    The report stated "no data depend on this parameter". For a digit with several tendons and
+    without joint encoders, the report must state "needs joint encoders".
     """
     content = hand_content("jamia11")
     node = content["sensor_node"]

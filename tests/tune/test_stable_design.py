@@ -263,8 +263,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` found no gains for the hand n_plus_1.
 
-    The design gave only the first tendon of a finger a large force weight. This large force weight
-    lowered the gain margins of the other tendons of the finger below 6 dB.
+    The design gave only the first tendon of a finger a large force weight. The large force weight
+    of the first tendon lowered the gain margins of the other tendons of the finger below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -362,9 +362,9 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 ) -> None:
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
-    The links of a pressed digit slip at random times. A slip causes a peak of several newtons.
-    Earlier, the design simulated each plant (simulated hand) only once. A single slip of a link
-    could then make the design refuse good gains.
+    The links of a digit that presses on an object slip at random times. A slip causes a peak of
+    several newtons. Earlier, the design simulated each plant (simulated hand) only once. A single
+    slip of a link could then make the design refuse good gains.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 

@@ -1,7 +1,7 @@
 """Test the verification of gains.
 
 If the control loops of a run oscillate with new gains, the run uses the old gains again. The log
-contains the return to the old gains.
+records that the run has returned to the old gains.
 """
 
 import argparse
