@@ -33,7 +33,7 @@ QUEUE_REPORT_ID = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 
 No CAN frame has the flags extended, remote and error at the same time.
 """
-_QUEUE_STRUCT = struct.Struct("<II")
+_QUEUE_REPORT_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""
 
 
@@ -159,22 +159,22 @@ class TimedPort:
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
-            departed_count = arrival_count - len(controller.queue)
-            if departed_count != reported_count:
+            departed_frame_count = arrival_count - len(controller.queue)
+            if departed_frame_count != reported_count:
                 dropped_count = link.dropped_record_count
                 link.deliver(
                     pack_record(
                         Frame(
                             QUEUE_REPORT_ID,
-                            _QUEUE_STRUCT.pack(
-                                departed_count & 0xFFFFFFFF, self.wire.options.queue
+                            _QUEUE_REPORT_STRUCT.pack(
+                                departed_frame_count & 0xFFFFFFFF, self.wire.options.queue
                             ),
                         )
                     )
                 )
                 self._queues[link] = (
                     arrival_count,
-                    departed_count if link.dropped_record_count == dropped_count else -1,
+                    departed_frame_count if link.dropped_record_count == dropped_count else -1,
                 )
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
