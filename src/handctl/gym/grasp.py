@@ -183,20 +183,20 @@ class GraspEnv(HandEnv):
         plant = self.simulated_world.plant
         fall_distance_m = self._height_m - plant.engine.object_pose()[2]
         table_drop_time_s = plant.table.dropped_at
-        is_dropped = fall_distance_m > DROP_DISTANCE_M
-        is_held = (
+        is_object_dropped = fall_distance_m > DROP_DISTANCE_M
+        is_object_held = (
             table_drop_time_s is not None
             and plant.t_ns / 1e9 - table_drop_time_s >= SUCCESS_HOLD_S
-            and not is_dropped
+            and not is_object_dropped
         )
-        if is_held:
+        if is_object_held:
             reward += SUCCESS_REWARD
-        elif is_dropped or self.last_output.mode != HandMode.ACTIVE:
+        elif is_object_dropped or self.last_output.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
         information = {
-            "is_success": is_held,
+            "is_success": is_object_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
             "table_sinks": table_drop_time_s is not None,
         }
-        return reward, is_held or is_dropped, information
+        return reward, is_object_held or is_object_dropped, information

@@ -180,8 +180,8 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """
     store = GainsStore(hand.name, hand.identity, default_gains=default_gains(hand))
     entries = store.history_entries()
-    newest = entries[-1].number if entries else 0
-    to = newest if _rename_unusable_gains(store) and args.to is None else args.to
+    newest_number = entries[-1].number if entries else 0
+    to = newest_number if _rename_unusable_gains(store) and args.to is None else args.to
     return _report_stored_gains(args, store, store.roll_back(to).provenance)
 
 

@@ -58,8 +58,8 @@ MIN_DATA_ROWS = 20
 class TorqueBalance:
     """Torque balance of a digit at the sample times of the fit.
 
-    At each sample time, the digit moves freely, and there is a reading of all joint encoders of the
-    digit.
+    The fit uses only sample times at which the digit moves freely and all its joint encoders have a
+    reading.
 
     Attributes:
         digit: model of the digit.
