@@ -295,8 +295,8 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """The width of a delay's confidence interval is compared with an absolute limit.
 
-    For other parameters, the limit of the width is a fraction of the parameter value. The value of
-    a delay can be zero, and a fraction of zero is no useful limit.
+    For other parameters, the limit of the width is a fraction of the parameter value. A delay can
+    be zero, so a fraction of the delay is not a useful limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (

@@ -344,8 +344,8 @@ def test_journal_of_another_study_is_refused(search_plan: SearchPlan, tmp_path: 
 
 
 def test_only_good_trials_are_chosen() -> None:
-    def trial(number: int, *numbers: float, failure: str = "") -> SearchTrial:
-        return SearchTrial(number, {}, GainScore(*numbers, failure=failure))
+    def trial(trial_number: int, *score_values: float, failure: str = "") -> SearchTrial:
+        return SearchTrial(trial_number, {}, GainScore(*score_values, failure=failure))
 
     first_trial = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front_trial = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)

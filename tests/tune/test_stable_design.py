@@ -177,16 +177,24 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
     loop reaches the unit circle.
     """
 
-    def radius(factor: complex) -> float:
+    def spectral_radius(factor: complex) -> float:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
 
     decibels = np.arange(0.0, MAX_GAIN_DB, 0.1)
     gain = next(
-        (x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0),
+        (
+            x
+            for x in decibels
+            if max(spectral_radius(10 ** (x / 20)), spectral_radius(10 ** (-x / 20))) >= 1.0
+        ),
         MAX_GAIN_DB,
     )
     phase = next(
-        (x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0),
+        (
+            x
+            for x in np.arange(0.0, 180.0, 0.5)
+            if spectral_radius(np.exp(1j * math.radians(x))) >= 1.0
+        ),
         180.0,
     )
     return float(gain), float(phase)
@@ -344,11 +352,11 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = (
+        tension_swing = (
             chatter_N if tried_model.gains.tension.integral_per_s == 0.0 else tension_oscillation_N
         )
         return StepOscillation(
-            0.0, 0.0, (hold if is_least_friction else 0.0,) * tried_model.tendon_count
+            0.0, 0.0, (tension_swing if is_least_friction else 0.0,) * tried_model.tendon_count
         )
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
@@ -412,12 +420,12 @@ def rest_test_with(
         hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = (
+        tension_swings = (
             chatter_by_plant
             if tried_model.gains.tension.integral_per_s == 0.0
             else oscillation_by_plant
         )
-        return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
+        return StepOscillation(0.0, 0.0, tension_swings if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
     return rest_test_of(model)

@@ -223,8 +223,10 @@ def test_a_report_names_the_gains_of_each_round() -> None:
 def test_the_page_about_tuning_quotes_the_report() -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
     text = " ".join(page.read_text(encoding="utf-8").split())
-    why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
-    quoted_text = rollback_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    rollback_reason = "motor torques oscillate by 60.9 N m/s, limit 60.0"
+    quoted_text = rollback_text(
+        {"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": rollback_reason}
+    )
     assert f'"{quoted_text}"' in text
     amplitudes = round_amplitudes(1.0)
     later_round_labels = {
