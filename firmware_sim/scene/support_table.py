@@ -33,18 +33,20 @@ def is_object_grasped(
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
     """
-    pressing_count = 0
+    pressing_digit_count = 0
     opposed_digit_count = 0
     for i in range(len(force_indices)):
         x = contact_forces[force_indices[i]]
         y = contact_forces[force_indices[i] + 1]
         z = contact_forces[force_indices[i] + 2]
         if x * x + y * y + z * z > min_force_squared:
-            pressing_count += 1
+            pressing_digit_count += 1
             opposed_digit_count += is_opposed[i]
     # If both sides are required, at least one opposed digit and at least one other digit must
     # press.
-    return pressing_count >= digits and (not both_sides or 0 < opposed_digit_count < pressing_count)
+    return pressing_digit_count >= digits and (
+        not both_sides or 0 < opposed_digit_count < pressing_digit_count
+    )
 
 
 class SupportTable:

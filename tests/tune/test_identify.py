@@ -349,12 +349,12 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
-    nominal = np.ones(len(PARAMETER_NAMES))
+    parameter_scales = np.ones(len(PARAMETER_NAMES))
     parameter_values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
         parameter_values=parameter_values,
         half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
-        problem=SimpleNamespace(parameter_scales=nominal),
+        problem=SimpleNamespace(parameter_scales=parameter_scales),
     )
     axis = Figure().subplots()
     _draw_parameters(

@@ -95,7 +95,7 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
 
     The digits met near 17 deg, and the reported tracking error was 20 deg.
     """
-    file = tmp_path / "mine.toml"
+    hand_path = tmp_path / "mine.toml"
     words = [
         "--fingers",
         finger_count,
@@ -106,8 +106,8 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
         "--tendons",
         tendon_choice,
     ]
-    assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
-    hand = load_hand(str(file))
+    assert main(["config", "init", "--yes", *words, "--output", str(hand_path)]) == 0
+    hand = load_hand(str(hand_path))
     observer = _verify_gains(GAINS_WITHOUT_RINGING, tmp_path / "wide.mcap", hand, 1.0)
     assert observer.rollback is None
     blocked = observer.blocked

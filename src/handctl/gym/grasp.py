@@ -42,10 +42,10 @@ class GraspEnv(HandEnv):
     The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
     below the cylinder sinks. The table sinks when three digits or more, including the thumb, have
     pressed on the cylinder with 1 N for 1.5 s. An action consists of targets, followed by one
-    tension fraction for each digit. A digit with a positive tension fraction holds this fraction of
-    the largest allowed tension. A digit with a tension fraction of zero or less follows its
-    targets. The grip is the mean of min(force / 1 N, 1) over all digits. The reward of a step is
-    the change of the grip during the step. A success adds 10 to the reward, and a drop of the
+    tension value t for each digit. If the tension value t of a digit is positive, the digit holds t
+    times its largest allowed tension. If the tension value is zero or negative, the digit follows
+    its targets. The grip is the mean of min(force / 1 N, 1) over all digits. The reward of a step
+    is the change of the grip during the step. A success adds 10 to the reward, and a drop of the
     object or a fault subtracts 1. The reward uses the true forces and the true height of the
     object.
     """

@@ -175,15 +175,15 @@ class SpoolPairWindows:
             + weights.samples
         )
         is_on_stop = own_data.stop[rows]
-        is_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
+        is_window_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
         mean_derivatives = np.array(
             [weights.derivatives(pair.travel[rows]) for pair in data_of_tendons]
         )
-        is_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
-        windows, rows = select_windows(windows, is_usable), rows[is_usable]
+        is_window_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
+        windows, rows = select_windows(windows, is_window_usable), rows[is_window_usable]
         if len(windows.t) < 20:
             raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
-        q, dq, ddq = _joint_motion(digit, mean_derivatives[:, :, is_usable], data_of_tendons)
+        q, dq, ddq = _joint_motion(digit, mean_derivatives[:, :, is_window_usable], data_of_tendons)
         tree = LinkTree.from_hand(hand)
         rigid_body_torque = np.array(
             [

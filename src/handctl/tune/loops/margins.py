@@ -190,9 +190,9 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
-    delays = np.unique(np.linspace(0, ticks, MARGIN_STEP_COUNT + 1).astype(int))[1:].tolist()
+    delays_ticks = np.unique(np.linspace(0, ticks, MARGIN_STEP_COUNT + 1).astype(int))[1:].tolist()
     first_unstable = next(
-        (i for i, k in enumerate(delays) if not is_stable(system, delay_ticks=k)), None
+        (i for i, k in enumerate(delays_ticks) if not is_stable(system, delay_ticks=k)), None
     )
     return replace(
         result,
@@ -211,7 +211,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
-        else [0, *delays][first_unstable] * system.period,
+        else [0, *delays_ticks][first_unstable] * system.period,
     )
 
 
