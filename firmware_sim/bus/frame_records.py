@@ -46,19 +46,20 @@ def frames_to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     Returns:
         Array of shape (frames,).
     """
-    pack = _FRAME_STRUCT.pack
-    packed = [
-        pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames
+    pack_fields = _FRAME_STRUCT.pack
+    packed_records = [
+        pack_fields(t_ns, can_id, flags, bus, len(data), data)
+        for can_id, data, flags, bus, t_ns in frames
     ]
     # The buffer is a bytearray, because kernels write into the resulting array. An array made from
     # a ``bytes`` object would be read-only.
-    return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
+    return np.frombuffer(bytearray(b"".join(packed_records)), FRAME_DTYPE)
 
 
 def records_to_frames(records: Any) -> list[Frame]:
     """Convert an array of ``FRAME_DTYPE`` to frames."""
-    unpacked = _FRAME_STRUCT.iter_unpack(records.tobytes())
+    unpacked_fields = _FRAME_STRUCT.iter_unpack(records.tobytes())
     return [
         Frame(can_id, data[:length], flags, bus, t_ns)
-        for t_ns, can_id, flags, bus, length, data in unpacked
+        for t_ns, can_id, flags, bus, length, data in unpacked_fields
     ]

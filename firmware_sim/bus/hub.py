@@ -85,7 +85,8 @@ class HubConnection:
     def deliver(self, records: bytes) -> None:
         """Send whole records.
 
-        If the kernel does not accept a record, the connection drops and counts the record.
+        If the send buffer of the socket has no room for a record, the connection drops and counts
+        the record.
         """
         count = len(records) // RECORD_SIZE
         if not self.flush():
@@ -96,12 +97,12 @@ class HubConnection:
         # the size of one record.
         stamped_records[6::RECORD_SIZE] = bytes((self.dropped_record_count & 0xFF,)) * count
         stamped_records[7::RECORD_SIZE] = bytes((self.dropped_record_count >> 8 & 0xFF,)) * count
-        sent_size = self._send(stamped_records)
+        sent_byte_count = self._send(stamped_records)
         # The number of sent records is rounded up, because a partly sent record must be completed
         # later.
-        record_count_started = -(-sent_size // RECORD_SIZE)
-        self.unsent = bytes(stamped_records[sent_size : record_count_started * RECORD_SIZE])
-        self.dropped_record_count += count - record_count_started
+        started_record_count = -(-sent_byte_count // RECORD_SIZE)
+        self.unsent = bytes(stamped_records[sent_byte_count : started_record_count * RECORD_SIZE])
+        self.dropped_record_count += count - started_record_count
 
     def flush(self) -> bool:
         """Send the bytes left over from a partly sent record.

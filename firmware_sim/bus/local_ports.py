@@ -11,7 +11,7 @@ from firmware_sim.wire.simulated_wire import NEVER_NS
 
 
 class HubPort:
-    """A port in the process that has opened the hub of the bus.
+    """Port on a local bus, for the process that has opened the hub of the bus.
 
     The class ``bus_ports.BusPort`` describes the methods.
     """
@@ -61,7 +61,7 @@ class HubPort:
 
 
 class HubClientPort:
-    """A port that is a client of a hub in another process.
+    """Port on a local bus, for a client of a hub in another process.
 
     The class ``bus_ports.BusPort`` describes the methods.
     """

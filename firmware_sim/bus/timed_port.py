@@ -33,7 +33,7 @@ QUEUE_REPORT_ID = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 
 No CAN frame has the flags extended, remote and error at the same time.
 """
-_QUEUE_STRUCT = struct.Struct("<II")
+_QUEUE_REPORT_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""
 
 
@@ -133,7 +133,7 @@ class TimedPort:
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the next frames whose transmission on the wire has ended.
 
-        If the transmission of no frame has ended yet, return an empty list.
+        If no transmission has ended since the last call, return an empty list.
 
         The class ``bus_ports.BusPort`` describes how to call this method.
         """
@@ -154,27 +154,27 @@ class TimedPort:
     def _report_queues(self) -> None:
         """Report to each client how many frames of the client have left the send queue.
 
-        From the report, a client computes the number of frames that are still in the queue. When
-        the queue is full, the client can refuse to send a frame.
+        From the reported number, a client computes how many frames are still in its send queue.
+        When the queue is full, the client can refuse to send a frame.
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
-            departed_count = arrival_count - len(controller.queue)
-            if departed_count != reported_count:
+            departed_frame_count = arrival_count - len(controller.queue)
+            if departed_frame_count != reported_count:
                 dropped_count = link.dropped_record_count
                 link.deliver(
                     pack_record(
                         Frame(
                             QUEUE_REPORT_ID,
-                            _QUEUE_STRUCT.pack(
-                                departed_count & 0xFFFFFFFF, self.wire.options.queue
+                            _QUEUE_REPORT_STRUCT.pack(
+                                departed_frame_count & 0xFFFFFFFF, self.wire.options.queue
                             ),
                         )
                     )
                 )
                 self._queues[link] = (
                     arrival_count,
-                    departed_count if link.dropped_record_count == dropped_count else -1,
+                    departed_frame_count if link.dropped_record_count == dropped_count else -1,
                 )
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
@@ -233,8 +233,8 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        The wire can carry an answer from the time on when the last received frame ended. See
-        ``bus_ports.BusPort.send``.
+        The transmission of an answer begins at the earliest at the end of the last received frame.
+        See ``bus_ports.BusPort.send``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)

@@ -178,13 +178,13 @@ class Plant:
         """
         hand = self.hand
         closing_indices = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
-        opposed = [opposed_digits(hand)[i] for i in closing_indices]
+        is_opposed = [opposed_digits(hand)[i] for i in closing_indices]
         if not is_compiled:
-            return SupportTable(support, opposed, [3 * i for i in closing_indices])
+            return SupportTable(support, is_opposed, [3 * i for i in closing_indices])
         indices = self.engine.force_indices(
             "contact", [hand.digits[i].name for i in closing_indices]
         )
-        return SupportTable(support, opposed, indices, compile_module_kernels(support_kernels))
+        return SupportTable(support, is_opposed, indices, compile_module_kernels(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
         """Unwind a random length of tendon from each spool, so that each tendon is slack."""

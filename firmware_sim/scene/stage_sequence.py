@@ -167,22 +167,23 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the two vectors are opposite, the result has the direction of ``start`` as long as the
-    straight line to ``end`` has not passed zero. After zero, the result has the direction of
-    ``end``.
+    If the two vectors have opposite directions, the result first has the direction of ``start``.
+    When the linear interpolation between the two vectors has passed zero, the result has the
+    direction of ``end``.
 
     Args:
         start: vector at fraction 0.
         end: vector at fraction 1. The result has the length of ``end``.
         fraction: fraction of the way from ``start`` to ``end``, from 0 to 1.
     """
-    interpolated = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
-    length = math.hypot(*interpolated)
-    target_length = math.hypot(*end)
+    interpolated_vector = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
+    length = math.hypot(*interpolated_vector)
+    end_length = math.hypot(*end)
     # Halfway between opposite vectors, the direction is not defined, because many great circles
     # pass through both vectors.
-    if length < 1e-9 or target_length == 0.0:
-        return interpolated[0], interpolated[1], interpolated[2]
+    if length < 1e-9 or end_length == 0.0:
+        return interpolated_vector[0], interpolated_vector[1], interpolated_vector[2]
     return _scaled_vector(
-        (interpolated[0], interpolated[1], interpolated[2]), target_length / length
+        (interpolated_vector[0], interpolated_vector[1], interpolated_vector[2]),
+        end_length / length,
     )

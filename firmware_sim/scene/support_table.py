@@ -33,18 +33,20 @@ def is_object_grasped(
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
     """
-    pressing_count = 0
-    opposed_count = 0
+    pressing_digit_count = 0
+    opposed_digit_count = 0
     for i in range(len(force_indices)):
         x = contact_forces[force_indices[i]]
         y = contact_forces[force_indices[i] + 1]
         z = contact_forces[force_indices[i] + 2]
         if x * x + y * y + z * z > min_force_squared:
-            pressing_count += 1
-            opposed_count += is_opposed[i]
+            pressing_digit_count += 1
+            opposed_digit_count += is_opposed[i]
     # If both sides are required, at least one opposed digit and at least one other digit must
     # press.
-    return pressing_count >= digits and (not both_sides or 0 < opposed_count < pressing_count)
+    return pressing_digit_count >= digits and (
+        not both_sides or 0 < opposed_digit_count < pressing_digit_count
+    )
 
 
 class SupportTable:
@@ -58,7 +60,7 @@ class SupportTable:
     def __init__(
         self,
         support: SinkingTable,
-        opposed: list[bool],
+        is_opposed: list[bool],
         indices: Sequence[int] = (),
         kernels: Any = None,
     ) -> None:
@@ -66,7 +68,7 @@ class SupportTable:
 
         Args:
             support: description of the table, from the scene.
-            opposed: True for each digit that closes against the first digit.
+            is_opposed: True for each digit that closes against the first digit.
             indices: for each digit, the index in ``forces`` at which the force on this digit
                 begins. By default, the forces are three values for each digit, one digit after the
                 other.
@@ -74,8 +76,8 @@ class SupportTable:
                 uses the Python functions.
         """
         self._support = support
-        start_indices = list(indices) or list(range(0, 3 * len(opposed), 3))
-        opposed_flags = [int(side) for side in opposed]
+        start_indices = list(indices) or list(range(0, 3 * len(is_opposed), 3))
+        opposed_flags = [int(side) for side in is_opposed]
         self._grasped: Callable[..., bool] = (
             kernels.is_object_grasped if kernels else is_object_grasped
         )
@@ -85,7 +87,7 @@ class SupportTable:
             else (start_indices, opposed_flags)
         )
         # If the hand has fewer digits than required, all digits of the hand must hold the object.
-        digits = min(support.drop_digits, len(opposed))
+        digits = min(support.drop_digits, len(is_opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
         self.depth = 0.0

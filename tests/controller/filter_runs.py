@@ -290,7 +290,8 @@ def design_arrays_by_tendon(
     """Return one array of each tendon's filter design, stacked along a new first axis.
 
     ``array_name`` is the name of the array. A tendon has one filter design for each regime: free,
-    held or slack. ``regime_by_tendon`` contains the regime of each tendon.
+    held (the digit rests on an object or a stop) or slack. ``regime_by_tendon`` contains the regime
+    of each tendon.
     """
     return np.array(
         [

@@ -240,8 +240,8 @@ def _winding_efficiency(
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tendon's tension that reaches the joints at the angles ``q`` [rad].
 
-    Friction takes the rest of each tension. The fractions apply while the motors wind up the
-    tendons.
+    Friction takes the rest of each tension. The returned fractions are valid while the motors wind
+    up the tendons.
     """
     return np.asarray(
         _winding_efficiency(

@@ -316,8 +316,8 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
 ) -> None:
     """After the load cells are tared, the tension loop uses load-cell readings minus their tares.
 
-    With raw load-cell readings, the bias of a load cell would change the tension with which a
-    tendon is pulled.
+    With raw load-cell readings, the tension of a pulled tendon would be wrong by the bias of its
+    load cell.
     """
     commissioning_bench.toy_hand.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + cell_bias_N
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)

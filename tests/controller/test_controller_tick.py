@@ -182,8 +182,8 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The telemetry also contains the age of each last measurement. In ticks without frames, this age
-    grows from tick to tick.
+    For each measured quantity, the telemetry also contains the age of the last measurement. In
+    ticks without frames, this age grows from tick to tick.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

@@ -82,8 +82,8 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         hand = build_random_hand_tree(seed)
         task, _ = default_task(hand)
         _, close, hold, _, opened = task.phase
-        closing = set(hand.digit_names) - hand.carrier_digits
-        assert set(close.angle_deg) == set(hold.tension_N) == closing  # type: ignore[union-attr, arg-type]
+        closing_digits = set(hand.digit_names) - hand.carrier_digits
+        assert set(close.angle_deg) == set(hold.tension_N) == closing_digits  # type: ignore[union-attr, arg-type]
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
 
 

@@ -135,8 +135,8 @@ def second_node_reports(tick_output: TickOut) -> list[str]:
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     """At the start of this test, the drives reply just after the deadline of each tick.
 
-    Later, the drives reply faster, so that a late reply and a reply in time arrive in the same
-    tick.
+    Later, the drives reply before the deadline. In the tick of this change, a late reply and a
+    reply in time arrive together.
     """
     run = bench_without_time_stamps()
     held_frames: list[list[Frame]] = [[]]

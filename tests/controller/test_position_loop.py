@@ -373,11 +373,11 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
 def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -> None:
-    draw = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         apart = []
         for _ in range(1200):
-            run.run_tick(skipped_ticks=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
+            run.run_tick(skipped_ticks=int(rng.integers(0, 4)) if rng.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert run.state.latched_faults == ()
         assert run.state.mode == HandMode.ACTIVE
@@ -520,7 +520,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
 ) -> None:
     """A moteus command contains fractions of the drive's gains kp and kd. Both fractions are limited to 1.
 
-    Without this limit, the controller would use fractions above 1 for a moteus drive that makes
+    Without the limit of 1, the controller would send fractions above 1 to a moteus drive that makes
     less torque than commanded.
     """
     hand = hand_with_position_loop(protocol="moteus")

@@ -439,7 +439,7 @@ CHANGED_STREAM_VALUES = {
 
 
 def decision_variants(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
-    """Yield copies of a controller's decisions, each of which differs from the original in one attribute."""
+    """Yield copies of a controller's decisions. Each copy differs from the original in one attribute."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],

@@ -184,7 +184,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def rms_error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS tracking error [deg] of a hand that follows the test sine from a trajectory in a task file."""
+    """Run a task file with the test sine as a trajectory, and return the RMS tracking error [deg]."""
     times = np.arange(0.0, 3.001, 0.02)
     hold_phase = {
         "kind": "move",

@@ -147,7 +147,7 @@ def run_without_sensors(
 
 
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
-    """Assert that the commissioning reports no check of a missing load cell.
+    """Assert that the commissioning reports a load-cell check only for tendons with a load cell.
 
     Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99
     N, others 0.00 N".

@@ -1,7 +1,7 @@
 """Test the compiled kernel that processes all frames of a tick in one call.
 
-The kernel gets the frames as packed records. The kernel gives the same result as the Python code of
-the simulated nodes, which process one frame after the other.
+The compiled kernel gets the frames as packed records, and gives the same result as the Python code
+of the simulated nodes. The Python code processes one frame after the other.
 """
 
 import random

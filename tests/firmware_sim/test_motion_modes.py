@@ -216,7 +216,7 @@ def odrive_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control.
 
-    The ODrive has already received the given messages.
+    The bench sends the given messages to the ODrive before the closed-loop control begins.
     """
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_messages(

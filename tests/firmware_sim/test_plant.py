@@ -73,10 +73,11 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """Test the travel of the spool at rest and without friction: r_a theta = sum r q + f / k.
+    """Test that the travel of a spool is the excursion of the joints plus the stretch of the tendon.
 
-    The spool has the radius r_a and the angle theta. A joint has the moment arm r and the angle q.
-    The tendon has the tension f and the stiffness k.
+    At rest and without friction, r_a theta = sum r q + f / k. The spool has the radius r_a and the
+    angle theta. A joint has the moment arm r and the angle q. The tendon has the tension f and the
+    stiffness k.
     """
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, 14.0 * 0.005, 2.0)
@@ -240,9 +241,9 @@ def closing_hand(
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The simulator integrates tendons, friction and rotors with a first-order method.
+    """Test that the integration error of the simulator is small, and decreases with the time step.
 
-    The error of the first-order method is small, and becomes smaller with a smaller time step.
+    The simulator integrates tendons, friction and rotors with a first-order method.
     """
     exact_value = closing_hand(monkeypatch, 0.05e-3)
     errors = [

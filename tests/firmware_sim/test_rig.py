@@ -52,8 +52,8 @@ def close_hand(
 ) -> list[list[Frame]]:
     """Enable all motors, raise the tension of all tendons in a ramp to ``tension`` [N], and keep this tension.
 
-    The commanded torques are proportional to the tension of the ramp. The function uses no
-    feedback. Return the replies of each tick.
+    The function commands torques in proportion to the tension, without feedback. Return the replies
+    of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(duration_s * 500)):

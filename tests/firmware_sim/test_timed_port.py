@@ -87,9 +87,11 @@ def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(timed_bus: 
 
 
 @pytest.mark.parametrize(
-    ("adapter_class", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
+    ("adapter_class", "longest_latency_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
 )
-def test_an_answer_arrives_later_behind_an_adapter(adapter_class: str, longest_ms: float) -> None:
+def test_an_answer_arrives_later_behind_an_adapter(
+    adapter_class: str, longest_latency_ms: float
+) -> None:
     bus_with_adapter = TimedBus([f"adapter={adapter_class}"])
     wire_ms = (frame_time_us(1) + frame_time_us(7)) * 1e-3
     bus_with_adapter.host.send([Frame(SYNC_ID, b"\x05")])
@@ -98,7 +100,7 @@ def test_an_answer_arrives_later_behind_an_adapter(adapter_class: str, longest_m
         passed += 0.01
         assert passed < 10.0
     assert [frame.can_id for frame in frames] == [TENSIONS_ID]
-    assert wire_ms < passed <= wire_ms + longest_ms + 0.02
+    assert wire_ms < passed <= wire_ms + longest_latency_ms + 0.02
     bus_with_adapter.host.close()
     bus_with_adapter.port.close()
 

@@ -41,7 +41,7 @@ class BusMember:
         )
 
     @property
-    def ids(self) -> list[int]:
+    def received_ids(self) -> list[int]:
         return [frame.can_id for frame in self.received]
 
     @property
@@ -98,7 +98,9 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
         b.controller.queue_frame(Frame(can_id, b""), 1000)
     a.controller.queue_frame(Frame(0x150, b""), 1000)
     wire.advance(10**9)
-    assert ears.ids == [0x300, 0x150, 0x200, 0x100], "the first frames of the queues compete"
+    assert ears.received_ids == [0x300, 0x150, 0x200, 0x100], (
+        "the first frames of the queues compete"
+    )
     assert [frame.t_ns for frame in ears.received] == [55_000 * n for n in (1, 2, 3, 4)]
 
 
@@ -138,7 +140,7 @@ def test_a_full_queue_refuses_and_reports() -> None:
     assert a.error_class_bits == [0x04, 0x04]
     assert [frame.data[1] for frame in a.errors] == [0x02, 0x02], "CAN_ERR_CRTL_TX_OVERFLOW"
     wire.advance(10**9)
-    assert b.ids == [0, 1, 2]
+    assert b.received_ids == [0, 1, 2]
     assert a.controller.queue_frame(Frame(5, b""), 10**9)
 
 
@@ -157,7 +159,7 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other_bus_member = BusMember(wire)
     wire.advance(2 * 10**9)
-    assert other_bus_member.ids == [1]
+    assert other_bus_member.received_ids == [1]
     assert only_member.controller.tx_errors == 127
 
 
@@ -177,14 +179,14 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert [frame.data[6] for frame in sender.errors] == [8, 96, 128, 255]
     assert receiver.controller.rx_errors == 32
     assert not sender.controller.queue_frame(Frame(2, b""), 10**8)
-    assert receiver.ids == [], "waiting frames are lost"
+    assert receiver.received_ids == [], "waiting frames are lost"
     wire.advance(10**9)
     assert sender.error_class_bits[-1] == 0x100
     assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
     sender.controller.queue_frame(Frame(3, b""), 10**9)
     wire.advance(2 * 10**9)
-    assert receiver.ids == [3]
+    assert receiver.received_ids == [3]
 
 
 def test_bus_off_is_permanent_without_a_restart() -> None:
@@ -224,7 +226,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
     for party in add_controllers(wire, 2):
         party.controller.queue_frame(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)
-    assert ears.ids == [8], "two equal frames are one frame"
+    assert ears.received_ids == [8], "two equal frames are one frame"
 
 
 def test_the_error_rate_is_met_and_repeats() -> None:
@@ -248,7 +250,7 @@ def test_removing_a_controller_during_its_frame_is_harmless() -> None:
     wire.advance(50_000)
     wire.remove_controller(leaves.controller)
     wire.advance(10**9)
-    assert ears.ids == [2]
+    assert ears.received_ids == [2]
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -22,23 +22,23 @@ def measured_results() -> dict[str, Any]:
     The invented results cover two tendons with noise, and one load test for each combination of
     object diameter and load axis.
     """
-    chance = np.random.default_rng(11)
-    ropes = []
+    rng = np.random.default_rng(11)
+    tendon_tests = []
     for knee in map(float, src.KNEE_TENSIONS_N):
-        law = TendonElasticity(1e5, 0.4e5, knee, 0.3e-3, 30.0)
-        travel = np.linspace(1e-4, law.stretch(242.0), 1500)
-        force = np.array([law.elastic_tension(x) for x in travel.tolist()]) + chance.normal(
+        elasticity = TendonElasticity(1e5, 0.4e5, knee, 0.3e-3, 30.0)
+        travel = np.linspace(1e-4, elasticity.stretch(242.0), 1500)
+        force = np.array([elasticity.elastic_tension(x) for x in travel.tolist()]) + rng.normal(
             scale=0.5, size=len(travel)
         )
-        ropes.append(
+        tendon_tests.append(
             {"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()}
         )
-    cases = [
+    load_tests = [
         slip_test_result(diameter, axis, k)
         for k, diameter in enumerate(payload.DIAMETERS_MM)
         for axis in payload.LOAD_DIRECTIONS
     ]
-    return {"force_displacement": {"ropes": ropes}, "payload": cases}
+    return {"force_displacement": {"ropes": tendon_tests}, "payload": load_tests}
 
 
 def slip_test_result(diameter_mm: float, load_axis: str, case_index: int) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     equations.
     """
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
-    chance = np.random.default_rng(3)
+    rng = np.random.default_rng(3)
     states = {
         "g": 9.81,
         "I3": 0.0,
@@ -113,7 +113,7 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
         states |= {f"I{i + 1}": thumb.inertias[i, 2, 2], f"m{i + 1}": thumb.masses[i]}
         states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.centres_of_mass[i, 0]}
     for _ in range(20):
-        theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
+        theta, rate, acceleration = rng.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
         for k in (0, 1):
             states |= {
                 f"th{k + 1}": theta[k],
@@ -205,9 +205,9 @@ def test_no_known_misprint_is_missing() -> None:
 
 
 def test_ids_are_unique_and_reasons_given() -> None:
-    items = sections.page_errata(None)
-    assert len({item.id for item in items}) == len(items)
-    for item in items:
+    errata_items = sections.page_errata(None)
+    assert len({item.id for item in errata_items}) == len(errata_items)
+    for item in errata_items:
         assert item.printed
         assert item.where
         assert item.why.endswith((".", ")")), item.id
@@ -248,9 +248,9 @@ def test_items_have_the_known_values(item_id: str, expected_value: float) -> Non
 
 @pytest.mark.parametrize("printed_number", ["1", "0.86"])
 def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) -> None:
-    items = [item for item in sections.page_errata(None) if item.where == "Abstract"]
-    item_ids = [item.id for item in items if item.printed.split()[0] == printed_number]
-    assert len(item_ids) == 1
+    abstract_errata = [item for item in sections.page_errata(None) if item.where == "Abstract"]
+    errata_ids = [item.id for item in abstract_errata if item.printed.split()[0] == printed_number]
+    assert len(errata_ids) == 1
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
@@ -273,14 +273,14 @@ def test_numbers_of_the_paper_are_judged_without_springs() -> None:
     The test compares the printed numbers with the torque that moves the links: inertia, Coriolis
     and gravity terms.
     """
-    fast_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
+    fast_motion_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
     links = sum(
-        fast_torques.torque_by_cause[torque_cause]
+        fast_motion_torques.torque_by_cause[torque_cause]
         for torque_cause in ("inertia", "Coriolis", "gravity")
     )
     item_by_id = {item.id: item for item in sections.page_errata(None)}
     assert item_by_id["sec7.complete"].computed == pytest.approx(
-        float(np.abs(links).max()) / fast_torques.moment_arm_m
+        float(np.abs(links).max()) / fast_motion_torques.moment_arm_m
     )
     assert item_by_id["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
@@ -315,20 +315,20 @@ def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
 
 
 def test_the_parts_of_a_closing_motion_add_up() -> None:
-    fast_torques, slow_torques = (
+    fast_motion_torques, slow_motion_torques = (
         motion.closing_torques("index", 0.15),
         motion.closing_torques("index", 0.6),
     )
-    assert fast_torques.peak_tension("inertia") == pytest.approx(
-        16.0 * slow_torques.peak_tension("inertia"), rel=1e-6
+    assert fast_motion_torques.peak_tension("inertia") == pytest.approx(
+        16.0 * slow_motion_torques.peak_tension("inertia"), rel=1e-6
     )
-    assert fast_torques.peak_tension("Coriolis") == pytest.approx(
-        16.0 * slow_torques.peak_tension("Coriolis"), rel=1e-6
+    assert fast_motion_torques.peak_tension("Coriolis") == pytest.approx(
+        16.0 * slow_motion_torques.peak_tension("Coriolis"), rel=1e-6
     )
-    assert fast_torques.peak_tension("gravity") == pytest.approx(
-        slow_torques.peak_tension("gravity"), rel=1e-9
+    assert fast_motion_torques.peak_tension("gravity") == pytest.approx(
+        slow_motion_torques.peak_tension("gravity"), rel=1e-9
     )
     digit = motion.upright_digit("index")
     weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
     assert weight > 0.0
-    assert fast_torques.torque_by_cause["gravity"][0] == pytest.approx(weight)
+    assert fast_motion_torques.torque_by_cause["gravity"][0] == pytest.approx(weight)

@@ -96,10 +96,10 @@ def test_markdown_tables_have_the_same_columns_everywhere(measured_results: dict
 
 def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", "--quick", "--json"]) == 0
-    items = json.loads(capsys.readouterr().out)
-    assert isinstance(items, list)
-    assert len(items) > 70
-    for item in items:
+    errata_items = json.loads(capsys.readouterr().out)
+    assert isinstance(errata_items, list)
+    assert len(errata_items) > 70
+    for item in errata_items:
         assert item.keys() == {
             "id", "where", "printed", "computed", "unit", "verdict", "why", "evidence", "deviation",
         }  # fmt: skip
@@ -109,8 +109,10 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
         assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
         assert all(isinstance(evidence_text, str) for evidence_text in item["evidence"])
     expected_verdicts = set(ErrataVerdict) - {ErrataVerdict.LOWER_BOUND}
-    assert {item["verdict"] for item in items} == {verdict.value for verdict in expected_verdicts}
-    wire = next(item for item in items if item["id"] == "sec5.wire")
+    assert {item["verdict"] for item in errata_items} == {
+        verdict.value for verdict in expected_verdicts
+    }
+    wire = next(item for item in errata_items if item["id"] == "sec5.wire")
     assert wire["computed"] == 0.8585678096656324
 
 

@@ -54,8 +54,8 @@ def identify_touching_finger(
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results.
 
-    The sweeps are those of the packaged hand. The sweeps for the near thumb would end before a
-    contact.
+    The sweeps are those of the packaged hand. Sweeps that are computed for the hand with the near
+    thumb would end before the middle finger touches the thumb.
     """
     path = write_near_thumb_hand(hand_name, thumb_shift_mm, hand_folder)
     steps_of_packaged_hand = excitation_steps(load_hand(hand_name), ("middle",))
@@ -83,9 +83,10 @@ QUICK_UNDISTURBED_CASES = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hand: str, thumb_shift_mm: int, seed: int
 ) -> None:
-    """Reproduce a defect: the identification accepted the values 1.41 and 1.73 of a spring parameter without a message.
+    """Reproduce a defect: the identification accepted wrong spring stiffnesses after a contact of the digit.
 
-    The true value of the spring parameter is 1.2.
+    Relative to the hand file, the true spring stiffness is 1.2. The identification reported 1.41
+    and 1.73, and printed no message about the contact.
     """
     fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
     for result in fits.values():
@@ -151,8 +152,8 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The generated data stand for two sweeps of a digit, and are the sum of noise and a ramp. The
-    ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
+    The generated data represent two sweeps of a digit. The data are the sum of noise and a ramp.
+    The ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

@@ -295,8 +295,8 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """The width of a delay's confidence interval is compared with an absolute limit.
 
-    For other parameters, the limit of the width is a fraction of the parameter value. The value of
-    a delay can be zero, and a fraction of zero is no useful limit.
+    For other parameters, the limit of the width is a fraction of the parameter value. A delay can
+    be zero, so a fraction of the delay is not a useful limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (
@@ -337,8 +337,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 ) -> None:
     """Reproduce a defect: the report gave the wrong reason why spring parameters were not identified.
 
-    The report stated "no data depend on this parameter". The correct reason is "needs joint
-    encoders", which holds for digits with several tendons.
+    The report stated "no data depend on this parameter". For a digit with several tendons and
+    without joint encoders, the report must state "needs joint encoders".
     """
     content = hand_content("jamia11")
     node = content["sensor_node"]
@@ -349,12 +349,12 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
-    nominal = np.ones(len(PARAMETER_NAMES))
+    parameter_scales = np.ones(len(PARAMETER_NAMES))
     parameter_values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
         parameter_values=parameter_values,
         half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
-        problem=SimpleNamespace(parameter_scales=nominal),
+        problem=SimpleNamespace(parameter_scales=parameter_scales),
     )
     axis = Figure().subplots()
     _draw_parameters(

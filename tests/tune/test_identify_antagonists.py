@@ -162,9 +162,9 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 @pytest.mark.parametrize("knee_N", [200.0, 14.0, 6.0])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
 def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: float) -> None:
-    """If a pair of tendons has the stretch x, the first tendon is stretched by s + x, and the second by s - x.
+    """Test the net tension of a pair of tendons that are stretched by s + x and s - x.
 
-    The pretension causes the stretch s of both tendons.
+    The pretension causes the stretch s of both tendons, and x is the stretch of the pair.
 
     If the stiffness is multiplied by a factor, all stretches are divided by this factor.
     """
@@ -186,8 +186,8 @@ def test_the_stiffness_of_a_tendon_is_that_below_its_knee(
 ) -> None:
     """Reproduce a defect: the fit ignored the knee of a stiffness curve.
 
-    In the hand file, the stiffness of a tendon changes at a certain tension (the knee). A knee at 8
-    N made the identified stiffness 18 % too large.
+    In the hand file, the stiffness of a tendon changes at a certain tension (the knee). If the knee
+    was at 8 N, the identified tendon stiffness was 18 % too large.
     """
     monkeypatch.chdir(tmp_path)
     text = hand_path("n_plus_1").read_text()

@@ -303,7 +303,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class WorkersWithSecondSearch(InProcessWorkers):
-        """Workers of a search that try to start a second search with the journal of the first search."""
+        """Workers that, during a search, try to start a second search with the same journal."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]
@@ -344,8 +344,8 @@ def test_journal_of_another_study_is_refused(search_plan: SearchPlan, tmp_path: 
 
 
 def test_only_good_trials_are_chosen() -> None:
-    def trial(number: int, *numbers: float, failure: str = "") -> SearchTrial:
-        return SearchTrial(number, {}, GainScore(*numbers, failure=failure))
+    def trial(trial_number: int, *score_values: float, failure: str = "") -> SearchTrial:
+        return SearchTrial(trial_number, {}, GainScore(*score_values, failure=failure))
 
     first_trial = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front_trial = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
@@ -363,7 +363,7 @@ def test_only_good_trials_are_chosen() -> None:
 
 
 def test_gains_that_cannot_commission_the_hand_are_not_chosen() -> None:
-    """The best trial of a search can commission the hand.
+    """Test that the gains of the best trial of a search can commission the hand.
 
     With the gains of the trial that a search for the hand orca_like chose, a pull with 3 N made a
     motor force of only 1.7 N. The commissioning therefore failed.

@@ -177,16 +177,24 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
     loop reaches the unit circle.
     """
 
-    def radius(factor: complex) -> float:
+    def spectral_radius(factor: complex) -> float:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
 
     decibels = np.arange(0.0, MAX_GAIN_DB, 0.1)
     gain = next(
-        (x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0),
+        (
+            x
+            for x in decibels
+            if max(spectral_radius(10 ** (x / 20)), spectral_radius(10 ** (-x / 20))) >= 1.0
+        ),
         MAX_GAIN_DB,
     )
     phase = next(
-        (x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0),
+        (
+            x
+            for x in np.arange(0.0, 180.0, 0.5)
+            if spectral_radius(np.exp(1j * math.radians(x))) >= 1.0
+        ),
         180.0,
     )
     return float(gain), float(phase)
@@ -263,8 +271,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` found no gains for the hand n_plus_1.
 
-    The design gave only the first tendon of a finger a large force weight. This large force weight
-    lowered the gain margins of the other tendons of the finger below 6 dB.
+    The design gave only the first tendon of a finger a large force weight. The large force weight
+    of the first tendon lowered the gain margins of the other tendons of the finger below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -344,11 +352,11 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = (
+        tension_swing = (
             chatter_N if tried_model.gains.tension.integral_per_s == 0.0 else tension_oscillation_N
         )
         return StepOscillation(
-            0.0, 0.0, (hold if is_least_friction else 0.0,) * tried_model.tendon_count
+            0.0, 0.0, (tension_swing if is_least_friction else 0.0,) * tried_model.tendon_count
         )
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
@@ -362,9 +370,9 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 ) -> None:
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
-    The links of a pressed digit slip at random times. A slip causes a peak of several newtons.
-    Earlier, the design simulated each plant (simulated hand) only once. A single slip of a link
-    could then make the design refuse good gains.
+    The links of a digit that presses on an object slip at random times. A slip causes a peak of
+    several newtons. Earlier, the design simulated each plant (simulated hand) only once. A single
+    slip of a link could then make the design refuse good gains.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
@@ -412,12 +420,12 @@ def rest_test_with(
         hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = (
+        tension_swings = (
             chatter_by_plant
             if tried_model.gains.tension.integral_per_s == 0.0
             else oscillation_by_plant
         )
-        return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
+        return StepOscillation(0.0, 0.0, tension_swings if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
     return rest_test_of(model)

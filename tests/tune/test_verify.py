@@ -1,7 +1,7 @@
 """Test the verification of gains.
 
 If the control loops of a run oscillate with new gains, the run uses the old gains again. The log
-contains the return to the old gains.
+records that the run has returned to the old gains.
 """
 
 import argparse
@@ -95,7 +95,7 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
 
     The digits met near 17 deg, and the reported tracking error was 20 deg.
     """
-    file = tmp_path / "mine.toml"
+    hand_path = tmp_path / "mine.toml"
     words = [
         "--fingers",
         finger_count,
@@ -106,8 +106,8 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
         "--tendons",
         tendon_choice,
     ]
-    assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
-    hand = load_hand(str(file))
+    assert main(["config", "init", "--yes", *words, "--output", str(hand_path)]) == 0
+    hand = load_hand(str(hand_path))
     observer = _verify_gains(GAINS_WITHOUT_RINGING, tmp_path / "wide.mcap", hand, 1.0)
     assert observer.rollback is None
     blocked = observer.blocked
@@ -223,8 +223,10 @@ def test_a_report_names_the_gains_of_each_round() -> None:
 def test_the_page_about_tuning_quotes_the_report() -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
     text = " ".join(page.read_text(encoding="utf-8").split())
-    why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
-    quoted_text = rollback_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    rollback_reason = "motor torques oscillate by 60.9 N m/s, limit 60.0"
+    quoted_text = rollback_text(
+        {"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": rollback_reason}
+    )
     assert f'"{quoted_text}"' in text
     amplitudes = round_amplitudes(1.0)
     later_round_labels = {

@@ -177,7 +177,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def values_outside_telemetry(self, name: str) -> Any:
-        """Return the values of the observation part ``name``, if the telemetry does not contain this part."""
+        """Return the values of the observation part ``name``, which is not a field of the telemetry."""
 
     @abstractmethod
     def begin_episode(self) -> None:
@@ -279,7 +279,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Send the targets of an action to the hand, and simulate the hand until the next action is due.
 
-        ``gymnasium.Env`` defines the results of a step.
+        The documentation of ``gymnasium.Env.step`` explains the returned values.
         """
         run = self.simulated_run
         clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
@@ -360,8 +360,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Convert joint angles (J,) to the quantities for which an action contains targets (V,).
 
-        The quantities are the joint angles themselves, or the mean of the coordinates of each
-        digit.
+        In the space ``joint``, an action contains targets for joint angles. In the space ``digit``,
+        an action contains a target for the mean of the coordinates of each digit.
 
         The conversion does not change the unit of the angles.
         """
@@ -421,13 +421,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_information(self) -> dict[str, Any]:
         """Return information about the hand that the observation does not contain."""
         state = self.simulated_run.state
-        stream = stream_status(state)
+        target_stream_status = stream_status(state)
         return {
             "t_s": self.t_s,
             "mode": self.last_output.mode.name,
             "failure": state.failure,
-            "clipped": stream.clipped,
-            "limited": stream.limited,
+            "clipped": target_stream_status.clipped,
+            "limited": target_stream_status.limited,
         }
 
 
@@ -447,7 +447,8 @@ def _controller_of_file(path: str) -> Controller:
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest allowed targets of an action [deg].
 
-    Each of the two results has one value for each joint or digit, shape (V,).
+    The lowest and the highest targets are arrays with one value for each joint or digit, shape
+    (V,).
 
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """

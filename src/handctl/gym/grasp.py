@@ -41,12 +41,13 @@ class GraspEnv(HandEnv):
 
     The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
     below the cylinder sinks. The table sinks when three digits or more, including the thumb, have
-    pressed on the cylinder with 1 N for 1.5 s. An action consists of targets, followed by one value
-    t for each digit. If t is positive, the digit holds a tension of t times the largest allowed
-    tension. If t is zero or negative, the digit follows its targets. The grip is the mean of
-    min(force / 1 N, 1) over all digits. The reward of a step is the change of the grip during the
-    step. A success adds 10 to the reward, and a drop of the object or a fault subtracts 1. The
-    reward uses the true forces and the true height of the object.
+    pressed on the cylinder with 1 N for 1.5 s. An action consists of targets, followed by one
+    tension value t for each digit. If the tension value t of a digit is positive, the digit holds t
+    times its largest allowed tension. If the tension value is zero or negative, the digit follows
+    its targets. The grip is the mean of min(force / 1 N, 1) over all digits. The reward of a step
+    is the change of the grip during the step. A success adds 10 to the reward, and a drop of the
+    object or a fault subtracts 1. The reward uses the true forces and the true height of the
+    object.
     """
 
     has_tensions = True
@@ -103,7 +104,7 @@ class GraspEnv(HandEnv):
         ]
 
     def values_outside_telemetry(self, name: str) -> Any:
-        """Raise KeyError, because the telemetry contains every observation part of this environment."""
+        """Raise KeyError: all observation parts of this environment are fields of the telemetry."""
         raise KeyError(name)
 
     def begin_episode(self) -> None:
@@ -149,7 +150,7 @@ class GraspEnv(HandEnv):
         )
 
     def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
-        """Return the joints or digits of an action that follow targets.
+        """Return the names of the joints or digits that follow the targets of an action.
 
         All digits for which the action demands a positive tension are left out of the result.
         """
@@ -182,20 +183,20 @@ class GraspEnv(HandEnv):
         plant = self.simulated_world.plant
         fall_distance_m = self._height_m - plant.engine.object_pose()[2]
         table_drop_time_s = plant.table.dropped_at
-        is_dropped = fall_distance_m > DROP_DISTANCE_M
-        is_held = (
+        is_object_dropped = fall_distance_m > DROP_DISTANCE_M
+        is_object_held = (
             table_drop_time_s is not None
             and plant.t_ns / 1e9 - table_drop_time_s >= SUCCESS_HOLD_S
-            and not is_dropped
+            and not is_object_dropped
         )
-        if is_held:
+        if is_object_held:
             reward += SUCCESS_REWARD
-        elif is_dropped or self.last_output.mode != HandMode.ACTIVE:
+        elif is_object_dropped or self.last_output.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
         information = {
-            "is_success": is_held,
+            "is_success": is_object_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
             "table_sinks": table_drop_time_s is not None,
         }
-        return reward, is_held or is_dropped, information
+        return reward, is_object_held or is_object_dropped, information

@@ -35,8 +35,9 @@ class TrackEnv(HandEnv):
 
     Each reference is the sum of two sine waves with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2). The error e in the reward is the root mean
-    square of the true tracking errors of all joints or digits. Only a fault ends an episode early.
+    The error e of a step is the root mean square of the true tracking errors of all joints or
+    digits. The reward of a step with the error e is 1 / (1 + (e / 5 deg)^2). Only a fault ends an
+    episode early.
     """
 
     def __init__(
@@ -105,8 +106,8 @@ class TrackEnv(HandEnv):
     def values_outside_telemetry(self, name: str) -> Any:
         """Return the reference angles of the joints or digits for one part of the observation [rad].
 
-        For the part ``reference_ahead_rad``, the result is the references at the time ``horizon_s``
-        from now. For any other part, the result is the present references.
+        For the part ``reference_rad``, return the references at the present time. For the part
+        ``reference_ahead_rad``, return the references at the time ``horizon_s`` from now.
         """
         time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
@@ -135,7 +136,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the display unit of each reference, which belongs to a digit or to a coordinate of joints."""
+        """Return the display units of the references. A reference belongs to a digit or to a joint coordinate."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(

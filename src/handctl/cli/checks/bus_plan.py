@@ -74,16 +74,16 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     return [line for line in lines if line]
 
 
-def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
-    max_rate = load.highest_rate_hz(MAX_BUS_LOAD)
+def _bus_fields(bus_load: BusLoad, rate_hz: float) -> dict[str, Any]:
+    max_rate = bus_load.highest_rate_hz(MAX_BUS_LOAD)
     return {
-        "name": load.name,
-        "motors": load.motors,
-        "tick_us": load.frame_time_per_tick_s * 1e6,
-        "by_time": load.periodic_load_fraction,
-        "load": load.load_at_rate(rate_hz),
+        "name": bus_load.name,
+        "motors": bus_load.motors,
+        "tick_us": bus_load.frame_time_per_tick_s * 1e6,
+        "by_time": bus_load.periodic_load_fraction,
+        "load": bus_load.load_at_rate(rate_hz),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
-        "frames": [_row_fields(row) for row in load.rows],
+        "frames": [_row_fields(row) for row in bus_load.rows],
     }
 
 

@@ -81,7 +81,7 @@ def _picture_time_s(args: argparse.Namespace, log: Any) -> float:
 def _check_options(args: argparse.Namespace) -> None:
     """Raise an error if two options contradict each other.
 
-    The command calls this check before it reads the log.
+    ``handctl view`` calls the check before the log is read.
     """
     from handctl.view.viewer import check_screen_exists, software_vulkan
 

@@ -158,7 +158,7 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of a drive that apply in torque mode.
 
-    The options of the position and velocity modes are left out.
+    The returned options do not contain the options of the position mode and the velocity mode.
     """
     return {
         key: value

@@ -21,7 +21,7 @@ from handctl.output_files import write_text_atomically
 def use_protocol_hand_file(args: argparse.Namespace) -> Iterator[None]:
     """Replace ``args.hand`` by a hand file with drives of ``args.protocol``.
 
-    The end of the context restores ``args.hand``.
+    When the context ends, ``args.hand`` has its previous value again.
 
     Raises:
         ConfigError: the hand does not exist, or the protocol does not have the motor type.

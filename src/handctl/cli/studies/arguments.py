@@ -49,8 +49,8 @@ def fault(parser: VerbParser) -> None:
     list_parser = add_action(
         "list", "list the faults of a running simulator, and how often each took effect"
     )
-    kinds_parser = add_action("kinds", "list the faults that a running simulator can inject")
-    for subparser in (inject_parser, list_parser, kinds_parser):
+    fault_kinds_parser = add_action("kinds", "list the faults that a running simulator can inject")
+    for subparser in (inject_parser, list_parser, fault_kinds_parser):
         text = "bus of the simulator (default: that of the only running simulator)"
         subparser.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(subparser)

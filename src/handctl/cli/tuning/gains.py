@@ -180,8 +180,8 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """
     store = GainsStore(hand.name, hand.identity, default_gains=default_gains(hand))
     entries = store.history_entries()
-    newest = entries[-1].number if entries else 0
-    to = newest if _rename_unusable_gains(store) and args.to is None else args.to
+    newest_number = entries[-1].number if entries else 0
+    to = newest_number if _rename_unusable_gains(store) and args.to is None else args.to
     return _report_stored_gains(args, store, store.roll_back(to).provenance)
 
 
@@ -223,22 +223,22 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     if args.json:
         print_json(
             {
-                "present": _number_text(present),
+                "present": _gains_number(present),
                 "entries": [entry.file.provenance.model_dump() for entry in entries],
             }
         )
         return ExitCode.DONE
     for entry in entries:
-        present_mark = "*" if entry.number == _number_text(present) else " "
+        present_mark = "*" if entry.number == _gains_number(present) else " "
         print_escaped(f"{present_mark} {entry.number:>4}  {_history_line(entry, entries)}")
     print(
-        f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}"
+        f"{len(entries)} applied; present: {_gains_number(present) or 'packaged' if present is None else store.path}"
     )
     return ExitCode.DONE
 
 
-def _number_text(present_value: Any) -> int:
-    return present_value.provenance.number if present_value else 0
+def _gains_number(stored_gains: Any) -> int:
+    return stored_gains.provenance.number if stored_gains else 0
 
 
 def _history_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:

@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
             )
         except ValueError as error:
             return _report_failure(args, f"{error}{strict_proof.reason}")
-        is_proven = args.poles is None or rest_test(model_with_gains(model, result.gains))
-        if not result.worst_margins_after.stable or not is_proven:
+        passes_rest_test = args.poles is None or rest_test(model_with_gains(model, result.gains))
+        if not result.worst_margins_after.stable or not passes_rest_test:
             return _report_failure(
                 args, f"these poles are not stable on every plant{rest_test.reason}"
             )

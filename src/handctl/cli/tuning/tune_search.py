@@ -111,7 +111,7 @@ def _designed_gains(
     """Return the gains that ``tune design`` finds for the same simulated plants.
 
     The gains of the design are one of the starting points of the search. If the design fails, or
-    if its gains are out of bounds with the default authority, return an empty tuple.
+    if its gains are out of bounds with the default force weights, return an empty tuple.
     """
     from handctl.tune.loops.gain_design import design_gains, linear_factors
 

@@ -158,8 +158,8 @@ def _judge_run(
 def _stop_reason(failure: str, verify_observer: Any, round_count: int) -> str:
     """Return the reason why a test run did not pass all rounds, or an empty text.
 
-    If a digit was blocked, the text gives only this reason, because a blocked digit causes most
-    failures.
+    If a digit was blocked, the text describes only the blocked digit, because a blocked digit
+    causes most failures.
     """
     if verify_observer.blocked:
         return str(verify_observer.blocked)

@@ -51,7 +51,7 @@ MIN_UNEXPLAINED_RAMP_FRACTION = 1e-6
 
 
 class ResidualRamp(NamedTuple):
-    """Ramp with the largest score in the residuals of a fit.
+    """Most significant ramp of tension or torque in the residuals of a fit.
 
     Attributes:
         score: height of the ramp in standard deviations. The score is positive if the ramp adds
@@ -93,7 +93,7 @@ class ResidualRamp(NamedTuple):
 def steepest_ramp(
     jacobian: Array, residual: Array, first_sample: int, angle: Array, unit_vectors: Sequence[Array]
 ) -> ResidualRamp | None:
-    """Return the ramp with the largest score. Return None if the fit has no sweep.
+    """Return the most significant ramp in the residuals of a fit. Return None if the fit has no sweep.
 
     Args:
         jacobian: (rows, parameters) Jacobian of the fit. The rows of outliers are zero.

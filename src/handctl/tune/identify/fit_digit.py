@@ -58,8 +58,8 @@ MIN_DATA_ROWS = 20
 class TorqueBalance:
     """Torque balance of a digit at the sample times of the fit.
 
-    At each sample time, the digit moves freely, and there is a reading of all joint encoders of the
-    digit.
+    The fit uses only sample times at which the digit moves freely and all its joint encoders have a
+    reading.
 
     Attributes:
         digit: model of the digit.
@@ -286,11 +286,11 @@ def fits_with_digit_solution(
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
     """Search for a contact in the residuals of the sweeps.
 
-    Return the ramp of torque that has the largest score. A ramp acts on a single joint.
+    Return the most significant torque ramp. A ramp acts on a single joint.
     """
-    units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
+    unit_vectors = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
-        solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
+        solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), unit_vectors
     )
 
 

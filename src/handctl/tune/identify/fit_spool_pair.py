@@ -112,7 +112,9 @@ MIN_READINGS = 3
 
 @dataclass(frozen=True, slots=True)
 class SpoolPairWindows:
-    """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
+    """Signals of a spool pair, averaged with a time window.
+
+    Each array has one value per window, shape (m,).
 
     Attributes:
         motor: windows of the motor equation. In the windows of a spool pair, the tension is not
@@ -173,15 +175,15 @@ class SpoolPairWindows:
             + weights.samples
         )
         is_on_stop = own_data.stop[rows]
-        is_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
+        is_window_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
         mean_derivatives = np.array(
             [weights.derivatives(pair.travel[rows]) for pair in data_of_tendons]
         )
-        is_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
-        windows, rows = select_windows(windows, is_usable), rows[is_usable]
+        is_window_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
+        windows, rows = select_windows(windows, is_window_usable), rows[is_window_usable]
         if len(windows.t) < 20:
             raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
-        q, dq, ddq = _joint_motion(digit, mean_derivatives[:, :, is_usable], data_of_tendons)
+        q, dq, ddq = _joint_motion(digit, mean_derivatives[:, :, is_window_usable], data_of_tendons)
         tree = LinkTree.from_hand(hand)
         rigid_body_torque = np.array(
             [
@@ -579,9 +581,9 @@ def _start_parameters(windows: SpoolPairWindows) -> Array:
 def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension at the start of the fit is too small, the solver can find a wrong solution. In
-    the wrong solution, one tendon is slack and the stiffness is twice as large. The solver cannot
-    leave the wrong solution in small steps.
+    If the pretension at the start of the fit is too small, the solver can find a wrong solution
+    with one slack tendon and twice the true stiffness. The solver cannot leave the wrong solution
+    in small steps.
     """
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:

@@ -132,21 +132,21 @@ class TendonFitProblem:
         # In a digit without springs, the joint encoders show how much the tendon is stretched, see
         # `fit_travel`.
         stop = data.stop & has_springs
-        stop_bin_s = _stop_bin_duration(data, stop, motor_position_step(motor) * spool)
+        open_stop_bin_s = _stop_bin_duration(data, stop, motor_position_step(motor) * spool)
         return TendonFitProblem(
             spool_radius_m=spool,
             parameter_scales=parameter_scales(hand, data.tendon),
             digit_load=DigitLoad.from_digit(digit) if has_single_tendon and has_springs else None,
             motor_windows=windows,
             free_motion_bins=average_in_bins(data, data.free_motion_mask, is_moving=True),
-            open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=stop_bin_s),
+            open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=open_stop_bin_s),
             slack_tendon_bins=average_in_bins(
                 data, data.slack, is_moving=False, bin_s=STOP_BIN_DURATIONS_S[0]
             ),
             drift_knots=np.linspace(
                 data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_INTERVAL_S) + 1)
             ),
-            cell_noise_N=_cell_noise(
+            cell_noise_N=_load_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
             # The drift is modelled as a random walk. The standard deviation of the random walk
@@ -157,7 +157,7 @@ class TendonFitProblem:
         )
 
     def start_parameters(self) -> Array:
-        """Return the scaled parameters at which the fit starts (15 + k,).
+        """Return the scaled start values of the fit: 15 parameters, and k values of the load-cell drift (15 + k,).
 
         The first 15 parameters start at the values from `parameter_scales`. The stretch offset is
         an exception, and starts at an estimate from the data. The last k parameters describe the
@@ -216,20 +216,20 @@ class TendonFitProblem:
             inertia / r * m.acceleration + viscous / r * m.speed
         ) / r + coulomb / r * m.sign
         rows = [
-            (motor_torque - motor_losses - (m.tension - self._cell_offset(m.t, drift)))
+            (motor_torque - motor_losses - (m.tension - self._load_cell_offset(m.t, drift)))
             / (self.cell_noise_N * m.noise_ratio)
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
                 # The standard deviation of a mean over n readings is the standard deviation of one
                 # reading, divided by sqrt(n).
-                (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
+                (bin_means.tension - self._load_cell_offset(bin_means.t, drift) - model)
                 / (self.cell_noise_N / bin_means.count**0.5)
             )
         return rows
 
     def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[SignalBins, Array]]:
-        """Return the bins of data, each with the tensions that the model expects."""
+        """Return the data bins of each condition (open stop, slack, free), with the expected tensions [N]."""
         rows = [
             (
                 self.open_stop_bins,
@@ -251,7 +251,7 @@ class TendonFitProblem:
             )
         return rows
 
-    def _cell_offset(self, t: Array, drift: Array) -> Array:
+    def _load_cell_offset(self, t: Array, drift: Array) -> Array:
         """Return the offset of the load cell at the given times [N]."""
         return np.asarray(np.interp(t, self.drift_knots, drift))
 
@@ -383,9 +383,9 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 
 
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
-    """Return the tension ramp with the largest score in the residuals of the free sweeps.
+    """Return the most significant tension ramp in the residuals of the sweeps in free motion.
 
-    If there are no free sweeps, return None.
+    If the digit made no sweeps in free motion, return None.
     """
     free_bins = problem.free_motion_bins
     load = problem.digit_load
@@ -417,7 +417,7 @@ def _row_times(problem: TendonFitProblem) -> Array:
 
 
 def _stop_bin_duration(data: TendonData, stop: Mask, count_m: float) -> float:
-    """Return the duration of the bins of data at the open stop [s].
+    """Return the duration of one data bin at the open stop [s].
 
     Args:
         data: data of the tendon.
@@ -437,7 +437,7 @@ def _stop_bin_duration(data: TendonData, stop: Mask, count_m: float) -> float:
     return float(np.clip(duration_s, shortest_s, longest_s))
 
 
-def _cell_noise(quiet_readings: Array, nominal_noise: float) -> float:
+def _load_cell_noise(quiet_readings: Array, nominal_noise: float) -> float:
     """Return the standard deviation of a load-cell reading, estimated from pairs of neighbouring readings [N].
 
     Args:

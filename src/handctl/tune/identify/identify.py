@@ -95,8 +95,9 @@ class TendonResult:
     def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that are valid.
 
-        A contact makes the parameters from the sweeps invalid. A low coherence makes the parameters
-        from the swing invalid. If the digit was blocked, no parameter is valid.
+        If the digit touched an obstacle, the parameters that the sweeps determine are invalid. If
+        the coherence is low, the parameters that the sinusoidal swing determines are invalid. If
+        the digit was blocked, no parameter is valid.
         """
         if self.blocked_event_text:
             return ()

@@ -37,12 +37,13 @@ With a smaller force, a digit of four joints did not follow its motion (N04) in 
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    A packaged hand keeps its packaged gains. A digit of another hand keeps the packaged force if
-    its motion loops have a sufficient gain margin, see ``MIN_PACKAGED_MARGIN_DB``. A digit also
-    keeps the packaged force if no smaller force leads to a sufficient gain margin. ``handctl config
-    check`` warns about digits without a sufficient gain margin. For all other digits, the force is
-    reduced. The largest force of all digits is ``motion.force_N``, and tendons of digits with a
-    smaller force get a force of their own.
+    A packaged hand keeps its packaged gains. In another hand, a digit whose motion loops have a
+    sufficient gain margin keeps the packaged motor force (``motion.force_N``), see
+    ``MIN_PACKAGED_MARGIN_DB``. A digit also keeps the packaged motor force if no smaller force
+    leads to a sufficient gain margin. ``handctl config check`` warns about digits without a
+    sufficient gain margin. For all other digits, the force is reduced. The largest force of all
+    digits is ``motion.force_N``, and tendons of digits with a smaller force get a force of their
+    own.
 
     Args:
         hand: description of the hand.

@@ -1,15 +1,15 @@
 """Design of gains by one of two methods.
 
-The first design method varies the authority of each loop. The authority is a motor force [N] that
-sets the weights of the LQR cost by Bryson's rule. A motor force as large as the authority costs as
-much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. More authority makes a
-loop faster and its margins smaller. Therefore the first method finds, for each tendon alone, the
-largest authority with which all plants have the required margins. The smallest authority of all
-tendons becomes the common ``force_N``. A tendon that permits more than twice the common authority
-gets a separate force. So a digit with little authority, such as a heavy wrist, does not make other
-digits slow. The second design method places the poles at given frequencies. The eigenvalues of the
-closed loop confirm the reported margins. A function that the caller provides, such as a simulation,
-confirms the designed gains.
+The first design method varies the force weight of each loop. The force weight is a motor force [N]
+that sets the weights of the LQR cost by Bryson's rule. A motor force as large as the force weight
+costs as much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. A larger force
+weight makes a loop faster and its margins smaller. Therefore the first method finds, for each
+tendon alone, the largest force weight with which all plants have the required margins. The smallest
+force weight of all tendons becomes the common ``force_N``. A tendon that permits more than twice
+the common force weight gets a separate force weight. So a digit with a small force weight, such as
+a heavy wrist, does not make other digits slow. The second design method places the poles at given
+frequencies. The eigenvalues of the closed loop confirm the reported margins. A function that the
+caller provides, such as a simulation, confirms the designed gains.
 
 The second method uses an equation for a plant with one input, and with weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
@@ -51,11 +51,11 @@ from handctl.tune.loops.margins import (
 )
 
 MIN_FORCE_N = 0.2
-"""Smallest authority of the search [N]."""
+"""Smallest force weight of the search [N]."""
 MAX_FORCE_N = 400.0
-"""Largest authority of the search [N]."""
+"""Largest force weight of the search [N]."""
 FORCE_SEARCH_STEP = math.log(1.7)
-"""Step of the search for the largest authority, in the natural logarithm of the force."""
+"""Step of the search for the largest force weight, in the natural logarithm of the force."""
 BISECTION_STEPS = 5
 """Number of bisections of the last step of the search, for an accuracy of two per cent."""
 FORCE_REDUCTION_STEP = math.log(1.03)
@@ -72,9 +72,9 @@ The forces are reduced if the loops keep their margins but the hand does not com
 simulation.
 """
 MIN_TENSION_LIMIT_N = 1.0
-"""Limit of the tension loops' authority below which no further limit is tried [N]."""
+"""Limit of the tension loops' force weights below which no further limit is tried [N]."""
 MIN_SEPARATE_FORCE_RATIO = 2.0
-"""Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
+"""Ratio of a tendon's force weight to the common one, above which the tendon gets a separate force weight."""
 FORCE_SIGNIFICANT_DIGITS = 3
 """Number of significant digits of a designed force. The force is rounded down to these digits."""
 DISTURBANCE_REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
@@ -128,9 +128,9 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Convert the designed gains to gains with the default authority, and return the result.
+        """Convert the designed gains to gains with the default force weights, and return the result.
 
-        The errors in the gains are multiplied by the same factor as the authority. The returned
+        The errors in the gains are multiplied by the same factor as the force weights. The returned
         gains describe the same controller as the designed gains, because LQR depends only on ratios
         of weights.
         """
@@ -374,7 +374,7 @@ def design_gains(
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> GainDesign:
-    """Design gains with the largest disturbance rejection and the largest authority.
+    """Design gains with the largest disturbance rejection and the largest force weights.
 
     With the designed gains, all plants keep the margins.
 
@@ -386,7 +386,7 @@ def design_gains(
             a simulation.
 
     Raises:
-        ValueError: the smallest authority already violates a margin, or no gains pass the further
+        ValueError: the smallest force weight already violates a margin, or no gains pass the further
             test.
     """
     has_unproven_design = False
@@ -428,11 +428,11 @@ def design_gains(
 def _models_with_decreasing_force(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with smaller and smaller authority, except models without sufficient margins.
+    """Yield the model, and then models with ever smaller force weights, except models without sufficient margins.
 
-    First, the authority of all loops is reduced. Then the authority of the tension loops alone is
-    limited more and more. Without load cells, the margins of a tension loop allow a large authority
-    with which a spool pair oscillates while it closes.
+    First, the force weights of all loops are reduced. Then the force weights of the tension loops
+    alone are limited more and more. Without load cells, the margins of a tension loop allow a large
+    force weight with which a spool pair oscillates while it closes.
     """
     yield model
     for weaker_model in _weaker_models(model):
@@ -441,7 +441,7 @@ def _models_with_decreasing_force(
 
 
 def _weaker_models(model: HandModel) -> Iterator[HandModel]:
-    """Yield models with smaller authority, see ``_models_with_decreasing_force``."""
+    """Yield models with ever smaller force weights, see ``_models_with_decreasing_force``."""
     for step in range(1, MAX_UNIFORM_REDUCTIONS + 1):
         yield _model_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_STEP))
     tension_limit = _largest_tension_force(model.gains)
@@ -451,7 +451,7 @@ def _weaker_models(model: HandModel) -> Iterator[HandModel]:
 
 
 def _model_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
-    """Return the model with the authority of all loops multiplied by a factor."""
+    """Return the model with the force weights of all loops multiplied by a factor."""
     motion, tension = model.gains.motion, model.gains.tension
     gains = _replace_gain_sections(
         model.gains,
@@ -463,13 +463,13 @@ def _model_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
 
 
 def _largest_tension_force(gains: Gains) -> float:
-    """Return the largest authority [N] of the tension loops of all tendons."""
+    """Return the largest force weight [N] of the tension loops of all tendons."""
     separate_forces = [tendon_gains.tension_force_N or 0.0 for tendon_gains in gains.tendon]
     return max([gains.tension.force_N, *separate_forces])
 
 
 def _model_with_tension_force_limit(model: HandModel, limit: float) -> HandModel:
-    """Return the model in which no tension loop has more authority than a limit [N]."""
+    """Return the model in which no tension loop has a larger force weight than a limit [N]."""
     force = min(model.gains.tension.force_N, limit)
     tendon_sections = []
     for tendon_gains in model.gains.tendon:
@@ -498,10 +498,10 @@ def _model_with_motion_gains(model: HandModel, **values: float) -> HandModel:
 def model_with_largest_force(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Give each tendon the largest authority with which its loop keeps the margins, and return the model.
+    """Give each tendon the largest force weight with which its loop keeps the margins, and return the model.
 
-    If a tendon influences the loops of other tendons, all tendons have equal forces. If no
-    authority keeps the margins, return None.
+    If a tendon influences the loops of other tendons, all tendons have equal force weights. If no
+    force weight keeps the margins, return None.
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -534,9 +534,9 @@ def model_with_largest_force(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority [N] with which the loop of a tendon keeps its stability margins.
+    """Return the largest force weight [N] with which the loop of a tendon keeps its stability margins.
 
-    If no authority keeps the margins, return None.
+    If no force weight keeps the margins, return None.
 
     The search begins with the smallest possible force. Even the smallest force can violate the
     margins: if the feedback without the integrator is too weak, the integrator makes the tendon
@@ -614,7 +614,7 @@ def _model_with_tendon_forces(
 
 
 def _model_with_equal_forces(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model in which one loop of every tendon has the authority ``force`` [N]."""
+    """Return the model in which one loop of every tendon has the force weight ``force`` [N]."""
     if kind == LoopKind.MOTION:
         return _model_with_motion_gains(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}

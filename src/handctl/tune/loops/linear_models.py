@@ -539,7 +539,7 @@ def _move_goal(
     digit: DigitModel,
     position: Matrix,
     goal_rate: Matrix,
-    reached_position: Matrix,
+    reached_excursion: Matrix,
     speed: Matrix,
     i: int,
 ) -> DigitGoal:
@@ -548,7 +548,7 @@ def _move_goal(
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
-        position = position + direction * (reached_position[i] - digit.excursion_at_angles(q)[i])
+        position = position + direction * (reached_excursion[i] - digit.excursion_at_angles(q)[i])
         goal_rate = goal_rate + direction * (speed[i] - arms[i] @ goal_rate)
     return DigitGoal(
         GoalKind.MOTION, SampledTrajectory(position, goal_rate, np.zeros_like(position))

@@ -190,9 +190,9 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
-    delays = np.unique(np.linspace(0, ticks, MARGIN_STEP_COUNT + 1).astype(int))[1:].tolist()
+    delays_ticks = np.unique(np.linspace(0, ticks, MARGIN_STEP_COUNT + 1).astype(int))[1:].tolist()
     first_unstable = next(
-        (i for i, k in enumerate(delays) if not is_stable(system, delay_ticks=k)), None
+        (i for i, k in enumerate(delays_ticks) if not is_stable(system, delay_ticks=k)), None
     )
     return replace(
         result,
@@ -211,7 +211,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
-        else [0, *delays][first_unstable] * system.period,
+        else [0, *delays_ticks][first_unstable] * system.period,
     )
 
 
@@ -287,7 +287,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
 def margins_by_loop(
     model: HandModel, factors: PlantFactors = NOMINAL_FACTORS
 ) -> dict[tuple[str, LoopKind], LoopMargins]:
-    """Return the confirmed margins of both loops of every tendon."""
+    """Return the margins of both loops of every tendon, confirmed by the eigenvalues of the closed loops."""
     names = model.hand.tendon_names
     return {
         (name, kind): confirmed_margins(open_loop(model, i, kind, factors))

@@ -258,8 +258,8 @@ def _peak_to_peak(values: Matrix) -> Matrix:
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop oscillates too long after a step.
 
-    The oscillations are measured from `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At
-    the start of the measurement, the oscillation of the loop must be below `MAX_HOLD_SWING_N`. The
+    The measurement of the oscillations begins at the time `REST_DURATION_S - EVALUATED_DURATION_S`
+    after the step. At this time, the oscillation of the loop must be below `MAX_HOLD_SWING_N`. The
     result is valid at every tension up to the knee of a tendon, because the stiffness of the tendon
     is constant up to the knee.
 
@@ -309,8 +309,8 @@ class RestTest:
     chatter is a property of the plant. First, the test measures the oscillation of the same plant
     without feedback. Then the test multiplies the oscillation without feedback by
     `MAX_LOOP_AMPLIFICATION`, and subtracts the product from the oscillation with feedback, for each
-    tendon. Nothing is subtracted if the eigenvalues of a linear tension loop show that the loop
-    itself oscillates.
+    tendon. If the eigenvalues of a linear tension loop show that the loop itself oscillates, the
+    test uses the oscillation with feedback without a subtraction.
 
     The chatter of pressed links varies by a factor of two between seeds of the noise. The test
     therefore uses the median of several runs, see `median_swing`.

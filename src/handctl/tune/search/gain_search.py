@@ -196,7 +196,8 @@ def without_uncommissionable_trials(
 
     The exercise begins with a commissioned hand, so that its score does not show whether the gains
     can commission the hand. The function commissions the plants with the gains of the best trial.
-    If a plant cannot be commissioned, the trial counts as failed, and the next trial is the best.
+    If the commissioning of a plant fails, the trial counts as failed, and the function checks the
+    next best trial.
 
     Args:
         plan: plan of the search.
