@@ -181,7 +181,7 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if at least one controller that does not send the present frame is on the bus."""
+        """Return True if a controller can receive the present frame: it does not send the frame, and is not bus-off."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True

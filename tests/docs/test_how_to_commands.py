@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The commands on the pages name files and hands that a reader would have. In their place, the tests
-use packaged files and hands.
+The commands on the pages name the reader's own files and hands. The tests replace the reader's
+files and hands by packaged files and hands.
 """
 
 import re

@@ -104,7 +104,7 @@ class Fingertips:
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
-        """Check goal positions of fingertips, and return each position by the index of its digit."""
+        """Check goal positions of fingertips, and return a mapping from the index of each digit to its position."""
         if isinstance(positions, Mapping):
             if unknown_digits := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(

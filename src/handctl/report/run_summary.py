@@ -97,8 +97,8 @@ def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     A mask is True where the hold is settled.
 
     A hold is settled if a digit touches an object, and if the target tensions have been constant
-    for SETTLING_TIME_S. The target tension of a tendon that holds an angle changes with the load.
-    Therefore only the tendons that follow a tension target are checked.
+    for SETTLING_TIME_S. A tendon that holds an angle does not count, because its target tension
+    changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -461,7 +461,7 @@ def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
     The unit is mm if all digits have only prismatic joints. If at least one digit has a hinge, the
-    unit is deg, and 10 mm of a prismatic joint count as 1 rad.
+    unit is deg. Errors of prismatic joints are then converted to angles, with 1 rad for 10 mm.
     """
     units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:

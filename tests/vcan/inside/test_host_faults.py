@@ -58,7 +58,8 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 class FaultObserver:
     """Observer that injects faults into the controller run that it observes.
 
-    While the hand pulls its tendons, the observer executes one fault action after the other.
+    While the hand pulls its tendons, the observer calls the given functions in their order. Each
+    function causes a fault.
 
     See ``session.run.RunObserver``.
     """

@@ -1,6 +1,6 @@
 """Test the CAN sockets of Linux without any library.
 
-All other tests in the folder ``tests/vcan/inside`` rely on CAN sockets.
+The other test files in ``tests/vcan/inside`` rely on the CAN sockets that this file tests.
 """
 
 import json
