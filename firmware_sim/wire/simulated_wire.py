@@ -156,8 +156,10 @@ class SimulatedWire:
 
     def _start_ns(self) -> int:
         """Return the time when the next frame can start [ns]."""
-        ready_ns = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
-        return max(ready_ns, self._free_ns) if ready_ns != NEVER_NS else NEVER_NS
+        earliest_ready_ns = min(
+            [c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS
+        )
+        return max(earliest_ready_ns, self._free_ns) if earliest_ready_ns != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
         """Start the frame that wins the arbitration among all ready frames."""

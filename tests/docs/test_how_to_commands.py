@@ -121,8 +121,8 @@ def test_the_commands_of_a_page_run(page: str) -> None:
 ])  # fmt: skip
 def test_the_programs_of_a_page_run(page: str) -> None:
     programs = [block for block in EXECUTED_BLOCKS_BY_PAGE[page] if block.language == "python"]
-    calls = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
-    run_code_blocks([*programs, *calls], file_writer_for_page(page), (SIMULATED_HAND,))
+    command_blocks = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
+    run_code_blocks([*programs, *command_blocks], file_writer_for_page(page), (SIMULATED_HAND,))
 
 
 @pytest.mark.realtime

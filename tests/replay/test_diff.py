@@ -74,8 +74,8 @@ def test_a_wrong_clock_and_a_gap_are_reported(golden_folder: Path) -> None:
         changed_times[10] += 1
         with patch.object(RunLog, "t_ns", PropertyMock(return_value=changed_times)):
             assert check_log(log) == ["the time of tick 10 is not its number times the period"]
-        jump = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
-        with patch.object(RunLog, "k", PropertyMock(return_value=jump)):
+        tick_numbers_with_gap = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
+        with patch.object(RunLog, "k", PropertyMock(return_value=tick_numbers_with_gap)):
             assert "gap: 3 ticks are missing between 19 and 23" in check_log(log)
 
 

@@ -73,9 +73,9 @@ class RunWithRepetition:
         Start and end count from the start of the recorded motion.
         """
         with RunLog(self.folder / "first.mcap") as original_log:
-            starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
+            phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
             start, _ = active_interval(original_log)
-        return starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start
+        return phase_starts_s["hold"] + SETTLING_TIME_S - start, phase_starts_s["release"] - start
 
     def mean_values_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return the mean values of both runs while the grasp is at rest.

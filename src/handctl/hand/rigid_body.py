@@ -653,15 +653,15 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     n = len(q)
     zero_rates = np.zeros(max(n, 3))
     unit = np.zeros(n)
-    matrix = np.empty((n, n))
+    mass_matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, mass_matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):
-            matrix[k, i] = matrix[i, k]
-    return matrix
+            mass_matrix[k, i] = mass_matrix[i, k]
+    return mass_matrix
 
 
 @kernel("matrix", "counts", "vector", "count", "real")

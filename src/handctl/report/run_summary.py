@@ -104,14 +104,14 @@ def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     hold_masks = []
-    changes = log.phases
+    phase_changes = log.phases
     kinds = _kind_by_phase_name(log)
-    for i, change in enumerate(changes):
+    for i, change in enumerate(phase_changes):
         # The phases of a task can have any names, so the kind of a phase comes from the task. Other
         # programs call their hold phases "hold".
         if kinds.get(change.name, change.name[:4]) != "hold":
             continue
-        end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
+        end = phase_changes[i + 1].k if i + 1 < len(phase_changes) else log.k[-1] + 1
         is_inside = (log.k >= change.k) & (log.k < end)
         hold_mask = is_inside & in_contact & _settled_mask(is_inside & moving, is_inside, log)
         if not hold_mask.any() and is_inside.any():
@@ -481,7 +481,7 @@ def measured_bus_load(
         sent_lengths: for every frame in both directions, the number of payload bytes, and True if it is a
             CAN FD frame.
     """
-    duration = float(log.times[-1] - log.times[0]) or 1.0
+    duration_s = float(log.times[-1] - log.times[0]) or 1.0
     return (
-        sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent_lengths) / duration
+        sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent_lengths) / duration_s
     )
