@@ -169,9 +169,9 @@ def _pin_to_one_core() -> Iterator[None]:
     """Keep the child processes of the present thread on one core.
 
     Each new guest system gets the next core in turn. On the host, a guest consists of two processes
-    that run alternately: the Linux kernel of the guest, and a program in the guest. To wake a
-    process on another core takes five times as long as on the same core. With both processes on one
-    core, a system call of the guest takes 20 us instead of 100 us.
+    that run alternately: the Linux kernel of the guest, and a program in the guest. Waking a
+    process takes five times as long if the process is on a different core. With both processes on
+    one core, a system call of the guest takes 20 us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})

@@ -67,7 +67,7 @@ class Fingertips:
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
 
     def tips(self, angles_rad: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the positions of the fingertips (D, 3) in the palm frame at given joint angles [m].
+        """Return the positions (D, 3) [m] of the fingertips in the palm frame, at given joint angles.
 
         Args:
             angles_rad: joint angles [rad], by name of the joint, e.g. ``seen.named("q_rad")``
