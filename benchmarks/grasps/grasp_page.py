@@ -46,8 +46,10 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
         cells = []
         for hand in hands:
             hand_rows = [row for row in trial_rows if row["hand"] == hand]
-            motions_mm = [max(row["motion_mm"]) for row in hand_rows if row["motion_mm"]]
-            largest_motion_text = f", {min(max(motions_mm), 99.0):.1f} mm" if motions_mm else ""
+            largest_motions_mm = [max(row["motion_mm"]) for row in hand_rows if row["motion_mm"]]
+            largest_motion_text = (
+                f", {min(max(largest_motions_mm), 99.0):.1f} mm" if largest_motions_mm else ""
+            )
             cells.append(
                 f"{sum(row['ok'] for row in hand_rows)} of {len(hand_rows)}{largest_motion_text}"
                 if hand_rows

@@ -48,19 +48,21 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
     run = simulate_grasp(hand, program, scene, seed=seed, timeout_s=RUN_DURATION_S)
     load_ticks = np.flatnonzero(run.t >= LOAD_START_S)
-    motion = np.linalg.norm(
+    object_motion = np.linalg.norm(
         run.object_position[load_ticks] - run.object_position[load_ticks[0]], axis=1
     )
     load = LOAD_RATE_N_PER_S * (run.t[load_ticks] - LOAD_START_S)
-    lost_ticks = np.flatnonzero(motion > OBJECT_LOSS_DISTANCE_M)
+    indices_after_loss = np.flatnonzero(object_motion > OBJECT_LOSS_DISTANCE_M)
     every_tenth_sample = slice(None, None, 10)
     return {
         "hand": hand, "answered": has_slip_reaction, "seed": seed,
-        "lost_at_N": round(float(load[lost_ticks[0]]), 1) if len(lost_ticks) else None,
-        "motion_mm": round(1e3 * float(motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
+        "lost_at_N": round(float(load[indices_after_loss[0]]), 1) if len(indices_after_loss) else None,
+        "motion_mm": round(1e3 * float(object_motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
         "tension_end_N": round(float(run.tension[-1].max()), 1),
-        "first_event_mm": _motion_at_first_slip(run, motion, load_ticks),
-        "curve": np.round([load[every_tenth_sample], 1e3 * np.minimum(motion[every_tenth_sample], 0.05)], 3).tolist(),
+        "first_event_mm": _motion_at_first_slip(run, object_motion, load_ticks),
+        "curve": np.round(
+            [load[every_tenth_sample], 1e3 * np.minimum(object_motion[every_tenth_sample], 0.05)], 3
+        ).tolist(),
     }  # fmt: skip
 
 

@@ -66,8 +66,8 @@ class ActiveFaults:
     def t_ns(self) -> int:
         """Return the present time of the truth file (the record of the true plant state) [ns].
 
-        The time of the truth file is the time of the simulated world plus the skipped plant time
-        (``slip_ns``).
+        The time of the truth file is a sum: the time of the simulated world, plus the plant time
+        that was skipped to keep up with the clock (``slip_ns``).
         """
         return int(self._world.t_ns + self._world.slip_ns)
 

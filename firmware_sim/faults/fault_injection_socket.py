@@ -80,7 +80,7 @@ class FaultInjectionSocket:
                     continue  # The client that sent the request has ended, or the queue of the client's socket is full.
 
     def _answer_request(self, request_bytes: bytes, pace: "PaceMeter | None") -> dict[str, object]:
-        """Return the answer to one request."""
+        """Carry out one request of a client, and return the answer to the client."""
         try:
             request = json.loads(request_bytes)
         except ValueError:

@@ -137,7 +137,8 @@ def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[Mot
     """Apply the fault ``sign`` or ``twin`` to the descriptions of drives.
 
     The fault ``sign`` inverts the torque of each drive. For each drive, the fault ``twin`` adds a
-    second drive with the same node number. No other fault changes the descriptions.
+    second drive with the same node number. All faults except ``sign`` and ``twin`` leave the
+    descriptions unchanged.
     """
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in motor_specs]

@@ -180,10 +180,10 @@ def _start_extra_friction(world: Any, active_fault: ActiveFault) -> UndoFunction
         spec for spec in world.hand.all_tendons if spec.name == active_fault.fault.instance
     )
     motor = world.plant.motors[tendon.motor]
-    coulomb_before = motor.coulomb
+    original_coulomb_friction = motor.coulomb
     motor.coulomb += active_fault.fault.size * _tendon_of_fault(world, active_fault.fault).radius
     active_fault.count_effect(world.t_ns)
-    return lambda: setattr(motor, "coulomb", coulomb_before)
+    return lambda: setattr(motor, "coulomb", original_coulomb_friction)
 
 
 def _tendon_of_fault(world: Any, fault: Fault) -> Any:
@@ -280,11 +280,11 @@ def _start_motor_overheating(world: Any, active_fault: ActiveFault) -> UndoFunct
 
     The size of the fault is the temperature of the winding [degC].
     """
-    thermal = world.node_of(active_fault.fault.instance).thermal
+    thermal_model = world.node_of(active_fault.fault.instance).thermal
     active_fault.count_effect(world.t_ns)
-    thermal.forced = active_fault.fault.size
-    thermal.winding = active_fault.fault.size
-    return lambda: setattr(thermal, "forced", None)
+    thermal_model.forced = active_fault.fault.size
+    thermal_model.winding = active_fault.fault.size
+    return lambda: setattr(thermal_model, "forced", None)
 
 
 class _CrossConnectedMotor:
@@ -361,12 +361,12 @@ def _start_servo_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     motor = world.plant.motors[active_fault.fault.instance]
     fault = active_fault.fault
     last_torque = motor.servo.torque
-    torque_max = world.motor_spec(fault.instance).torque_max
+    max_torque_N_m = world.motor_spec(fault.instance).torque_max
 
     def apply(command: float) -> float:
         changed_command: float = {
             "disobey": fault.size * command,
-            "runaway": fault.size * torque_max,
+            "runaway": fault.size * max_torque_N_m,
             "off": 0.0,
         }.get(fault.kind, last_torque)
         if abs(changed_command - command) > 1e-9:

@@ -64,7 +64,7 @@ class AdapterLatency:
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Initialise the latency of a USB adapter. The start time of its USB frames is random.
+        """Initialise the latency of a CAN adapter. The first USB frame of the adapter starts at a random time.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.

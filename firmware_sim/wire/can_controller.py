@@ -161,8 +161,8 @@ class CanController:
     def count_unacknowledged_frame(self, t_ns: int) -> None:
         """Count a transmit error, because no controller has acknowledged the sent frame.
 
-        In an error-passive sender, the transmit error counter does not change. So a controller that
-        is alone on a bus never reaches the state bus-off.
+        If the sender is error-passive, a missing acknowledgement does not change its transmit error
+        counter. So a controller that is alone on a bus never reaches the state bus-off.
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT

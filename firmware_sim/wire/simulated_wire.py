@@ -156,8 +156,10 @@ class SimulatedWire:
 
     def _start_ns(self) -> int:
         """Return the time when the next frame can start [ns]."""
-        ready_ns = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
-        return max(ready_ns, self._free_ns) if ready_ns != NEVER_NS else NEVER_NS
+        earliest_ready_ns = min(
+            [c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS
+        )
+        return max(earliest_ready_ns, self._free_ns) if earliest_ready_ns != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
         """Start the frame that wins the arbitration among all ready frames."""
@@ -181,7 +183,7 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if at least one controller that does not send the present frame is on the bus."""
+        """Return True if a controller can receive the present frame: it does not send the frame, and is not bus-off."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True

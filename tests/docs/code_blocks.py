@@ -77,7 +77,7 @@ def run_code_blocks(
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
-    words: dict[str, Any] = {"cwd": folder, "env": environment, "text": True}
+    process_options: dict[str, Any] = {"cwd": folder, "env": environment, "text": True}
     background_processes: list[subprocess.Popen[str]] = []
     if prepare:
         prepare(folder)
@@ -85,13 +85,13 @@ def run_code_blocks(
         (folder / block.title).write_text(replace_socketcan_buses(block.text))
     try:
         for command in parallel_commands:
-            start_in_background_shell(command, background_processes, words)
+            start_in_background_shell(command, background_processes, process_options)
         for block in code_blocks:
             if block.language != "sh" or not is_executed(block):
                 continue
             if keeps_running(block):
                 start_in_background_shell(
-                    replace_socketcan_buses(block.text), background_processes, words
+                    replace_socketcan_buses(block.text), background_processes, process_options
                 )
                 continue
             script = f"set -e\n{replace_socketcan_buses(block.text)}"
@@ -100,7 +100,7 @@ def run_code_blocks(
                 capture_output=True,
                 timeout=BLOCK_TIMEOUT_S,
                 check=False,
-                **words,
+                **process_options,
             )
             assert result.returncode == 0, (
                 f"{block.text}\n{result.stdout[-1000:]}\n{result.stderr[-2000:]}"
@@ -115,11 +115,15 @@ def run_code_blocks(
 
 
 def start_in_background_shell(
-    command: str, background_processes: list["subprocess.Popen[str]"], words: dict[str, Any]
+    command: str,
+    background_processes: list["subprocess.Popen[str]"],
+    process_options: dict[str, Any],
 ) -> None:
     """Start a command in the background, and wait until it prints its first line."""
     background_processes.append(
-        subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words)
+        subprocess.Popen(
+            ["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **process_options
+        )
     )
     stdout = background_processes[-1].stdout
     assert stdout

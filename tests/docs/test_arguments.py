@@ -33,10 +33,10 @@ def commands_in_text(text: str) -> list[list[str]]:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_every_argument_is_known(path: Path) -> None:
-    refusals = [
+    refusal_texts = [
         parser_refusal(words) for words in commands_in_text(path.read_text(encoding="utf-8"))
     ]
-    assert [text for text in refusals if "unknown" in text] == []
+    assert [text for text in refusal_texts if "unknown" in text] == []
 
 
 def parser_refusal(words: list[str]) -> str:

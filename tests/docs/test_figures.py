@@ -31,8 +31,8 @@ def test_a_figure_is_small_and_used(figure_name: str) -> None:
     assert (FIGURES_FOLDER / figure_name).stat().st_size < (
         MAX_FILE_BYTES if figure_name.endswith(".gif") else MAX_FIGURE_BYTES
     )
-    stem = figure_name.partition(".")[0]
-    assert any(re.search(rf"figures/{stem}\.(svg|png|gif)", text) for text in PAGE_TEXTS)
+    base_name = figure_name.partition(".")[0]
+    assert any(re.search(rf"figures/{base_name}\.(svg|png|gif)", text) for text in PAGE_TEXTS)
 
 
 def test_every_figure_in_the_folder_is_used() -> None:

@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The commands on the pages name files and hands that a reader would have. In their place, the tests
-use packaged files and hands.
+The commands on the pages name the reader's own files and hands. The tests replace the reader's
+files and hands by packaged files and hands.
 """
 
 import re
@@ -121,8 +121,8 @@ def test_the_commands_of_a_page_run(page: str) -> None:
 ])  # fmt: skip
 def test_the_programs_of_a_page_run(page: str) -> None:
     programs = [block for block in EXECUTED_BLOCKS_BY_PAGE[page] if block.language == "python"]
-    calls = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
-    run_code_blocks([*programs, *calls], file_writer_for_page(page), (SIMULATED_HAND,))
+    command_blocks = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
+    run_code_blocks([*programs, *command_blocks], file_writer_for_page(page), (SIMULATED_HAND,))
 
 
 @pytest.mark.realtime

@@ -49,8 +49,8 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
     The hand reaches the targets of an action only after a delay. The observation contains the
-    reference angles for the time at which the delay ends. The targets in the returned action are
-    these reference angles.
+    reference angles for the time at which the hand will reach the targets of the next action. The
+    returned action has the reference angles in the observation as its targets.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(

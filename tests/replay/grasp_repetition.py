@@ -34,13 +34,16 @@ def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArra
 def mean_held_tensions(
     original_log: RunLog, repeated_log: RunLog
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tension of each tendon while the grasp is at rest, for both runs [N].
+    """Return the mean tension [N] of each tendon while the grasp is at rest, for both runs.
 
-    Each of the two arrays has the shape (tendons,).
+    The two returned arrays (tendons,) belong to the recorded run and to its repetition.
     """
-    starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
+    phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
-    rest_interval = starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start
+    rest_interval = (
+        phase_starts_s["hold"] + SETTLING_TIME_S - start,
+        phase_starts_s["release"] - start,
+    )
     return _mean_tension(original_log, start, *rest_interval), _mean_tension(
         repeated_log, start_of_repetition_s(repeated_log), *rest_interval
     )

@@ -74,8 +74,8 @@ def test_a_wrong_clock_and_a_gap_are_reported(golden_folder: Path) -> None:
         changed_times[10] += 1
         with patch.object(RunLog, "t_ns", PropertyMock(return_value=changed_times)):
             assert check_log(log) == ["the time of tick 10 is not its number times the period"]
-        jump = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
-        with patch.object(RunLog, "k", PropertyMock(return_value=jump)):
+        tick_numbers_with_gap = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
+        with patch.object(RunLog, "k", PropertyMock(return_value=tick_numbers_with_gap)):
             assert "gap: 3 ticks are missing between 19 and 23" in check_log(log)
 
 
@@ -101,10 +101,11 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
-    """If a joint is at rest, the signal of its angle is only noise in both runs.
+    """Test that the comparison reports a delay for moving signals, but not for noise.
 
-    There is always a time shift at which the noise of both runs agrees best. The comparison must
-    not report this time shift as a delay of the joint.
+    If a joint is at rest, the signal of its angle is only noise in both runs. There is always a
+    time shift at which the noise of both runs agrees best. The comparison must not report a time
+    shift between two noise signals as a delay of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
@@ -126,7 +127,7 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 def test_unknown_differences_are_not_printed() -> None:
     """handctl does not print differences that are NaN. Differences in a task phase of one or two ticks are NaN.
 
-    If the second run is ahead of the first run, handctl does not print the delay as "-10 ms
+    If the second run is ahead of the first run, handctl prints "10.0 ms ahead", and not "-10 ms
     behind".
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}

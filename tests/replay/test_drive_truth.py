@@ -3,8 +3,8 @@
 The truth files of the simulator contain the angles, tensions and forces of the recorded run and of
 the repetition.
 
-Both runs are in lockstep, so the tests get the same numbers every time. The repetition has another
-control rate and other sensor noise.
+Both runs are in lockstep, so the tests get the same numbers every time. The control rate and the
+sensor noise of the repetition differ from those of the recorded run.
 """
 
 from dataclasses import dataclass
@@ -43,9 +43,10 @@ class RunWithRepetition:
         return self.folder / f"again-{self.follows_tensions}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the times since the start of the common interval, and the true values of both runs.
+        """Return times since the start of the recorded motion, and the true values of both runs at these times.
 
-        The returned times are in seconds. The values of each run have the shape (times, names).
+        The times [s] of the repetition count from the start of the repeated motion. The values of
+        each run have the shape (times, columns).
         """
         with (
             RunLog(self.folder / "first.mcap") as original_log,
@@ -67,19 +68,20 @@ class RunWithRepetition:
         )
 
     def rest_interval(self) -> tuple[float, float]:
-        """Return start and end of the time in which the grasp is at rest.
+        """Return start and end of the interval in which the hand holds the object at rest [s].
 
-        Start and end are measured from the start of the common interval [s].
+        Start and end count from the start of the recorded motion.
         """
         with RunLog(self.folder / "first.mcap") as original_log:
-            starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
+            phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
             start, _ = active_interval(original_log)
-        return starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start
+        return phase_starts_s["hold"] + SETTLING_TIME_S - start, phase_starts_s["release"] - start
 
     def mean_values_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return the mean values of both runs while the grasp is at rest.
 
-        The result of each run has one mean value for each named column of the truth file (names,).
+        The result of each run is an array (columns,), with one mean value for each of the given
+        columns.
         """
         times, recorded_values, repeated_values = self.true_values(*truth_columns)
         start, end = self.rest_interval()
@@ -126,8 +128,8 @@ def test_the_repetition_gives_the_same_log(run_with_repetition: RunWithRepetitio
     Without a control loop for the angle, a tension error of half a newton turns a digit by six
     degrees against its springs.
 
-    At the first contact of a digit, a tension error of one newton changes the estimated joint
-    angles by another two degrees.
+    At a digit's first contact, a tension error of one newton adds two degrees to the difference
+    between the joint angles that are estimated in the two runs.
     """
     comparison = run_with_repetition.compare_replay()
     worst = (

@@ -1,7 +1,8 @@
 """Re-execute all golden logs.
 
 A golden log is a recorded run. When the run is executed again, the telemetry must equal the log to
-the last bit. A code change for other hands must not change the telemetry of a golden log.
+the last bit. A code change for another hand must not change the telemetry of the hand in a golden
+log.
 
 Earlier defect: with the matrix kernels for AVX-512, the last bits of the telemetry differed from
 those of other processors. Earlier defect: products were added in another order, which changed the

@@ -37,16 +37,20 @@ class SimulatorWithLostReplies:
     """
 
     peer: LockstepSimulator
-    chance: random.Random = field(default_factory=lambda: random.Random(6))
-    silent: int = 0
+    random_source: random.Random = field(default_factory=lambda: random.Random(6))
+    silent_ticks_left: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
         """Step the wrapped simulator, and return those of its replies that the wrapper does not drop."""
         replies = self.peer.step(t_ns, frames)
-        if self.chance.random() < 0.002:
-            self.silent = 2
-        self.silent -= 1
-        return [reply for reply in replies if self.silent < 0 and self.chance.random() > 0.005]
+        if self.random_source.random() < 0.002:
+            self.silent_ticks_left = 2
+        self.silent_ticks_left -= 1
+        return [
+            reply
+            for reply in replies
+            if self.silent_ticks_left < 0 and self.random_source.random() > 0.005
+        ]
 
     def close(self) -> None:
         """Close the wrapped simulator."""
@@ -58,9 +62,9 @@ def write_long_log(log_path: Path) -> None:
 
     Frames are lost during the whole run, and a motor stops sending at the end of the run.
     """
-    chance = random.Random(7)
+    random_source = random.Random(7)
     move_phases = [
-        MOVE_PHASE.format(n=n, angle=chance.uniform(2.0, 60.0))
+        MOVE_PHASE.format(n=n, angle=random_source.uniform(2.0, 60.0))
         for n in range(int((DURATION_S - 4) / 2))
     ]
     task = log_path.with_suffix(".task.toml")

@@ -100,9 +100,9 @@ def test_a_long_gap_is_refused_with_its_times(
 def test_a_cut_log_that_repeats_is_lossy(
     golden_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes((golden_folder / "jamia-grasp.mcap").read_bytes()[:100_000])
-    assert main(["replay", "execute", str(cut), "--within", "1e-9", "--json"]) == 3
+    truncated_log = tmp_path / "cut.mcap"
+    truncated_log.write_bytes((golden_folder / "jamia-grasp.mcap").read_bytes()[:100_000])
+    assert main(["replay", "execute", str(truncated_log), "--within", "1e-9", "--json"]) == 3
     out, err = capsys.readouterr()
     assert json.loads(out)["warning"]
     assert err.count("\n") == 1

@@ -41,14 +41,14 @@ def serial_and_parallel_executions(
     controller state.
     """
 
-    def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
+    def run(change_state: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
         original_tick = Controller.tick
 
         def tick(
             controller: Controller, state_before: ControllerState, entry: TickIn
         ) -> tuple[ControllerState, TickOut]:
-            if change:
-                change(state_before, entry)
+            if change_state:
+                change_state(state_before, entry)
             return original_tick(controller, state_before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
@@ -72,11 +72,11 @@ def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
     The returned function changes the field ``field_name`` of the second tendon.
     """
 
-    def change(state_before: ControllerState, entry: TickIn) -> None:
+    def change_state(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == first_wrong_tick:
             state_before.view(field_name)[1] += 1e-9
 
-    return change
+    return change_state
 
 
 def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> None:
@@ -155,11 +155,11 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
 def test_the_first_field_of_the_state_that_differs_is_named(
     serial_and_parallel_executions: ExecuteSerialAndParallel,
 ) -> None:
-    def change(state_before: ControllerState, entry: TickIn) -> None:
+    def change_state(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
             state_before.view("nis_mean")[1] += 1e-6
 
-    one_process, _ = serial_and_parallel_executions(change)
+    one_process, _ = serial_and_parallel_executions(change_state)
     assert one_process.first_state_difference is not None
     assert (one_process.first_state_difference.field, one_process.first_state_difference.k) == (
         "state nis_mean",
@@ -185,12 +185,12 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
 def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
     serial_and_parallel_executions: ExecuteSerialAndParallel,
 ) -> None:
-    def change(state_before: ControllerState, entry: TickIn) -> None:
+    def change_state(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
     with pytest.raises(LogError, match="no such angle"):
-        serial_and_parallel_executions(change)
+        serial_and_parallel_executions(change_state)
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(

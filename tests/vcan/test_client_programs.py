@@ -168,10 +168,10 @@ def test_a_client_of_another_author_passes_all_its_checks(
         RUN_TIMEOUT_S,
         output.append,
     )
-    passed = [line for line in output if line.startswith(PASSED_WORD)]
+    passed_check_lines = [line for line in output if line.startswith(PASSED_WORD)]
     failed_checks = [line for line in output if line.startswith(FAILED_WORD)]
-    print(f"{name}: {len(passed)} of {program.expected_check_count} checks passed")
+    print(f"{name}: {len(passed_check_lines)} of {program.expected_check_count} checks passed")
     text = "\n".join(output[-40:])
     assert failed_checks == []
     assert status == 0, text
-    assert len(passed) == program.expected_check_count, text
+    assert len(passed_check_lines) == program.expected_check_count, text

@@ -149,7 +149,7 @@ def _run_in_guest(job: Path, timeout_s: float, print_line: Callable[[str], None]
             _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
         )
     try:
-        other_lines = _report_job(
+        other_lines = _print_command_output(
             _read_lines(process, time.monotonic() + timeout_s), job, print_line
         )
     except TimeoutError:
@@ -169,9 +169,9 @@ def _pin_to_one_core() -> Iterator[None]:
     """Keep the child processes of the present thread on one core.
 
     Each new guest system gets the next core in turn. On the host, a guest consists of two processes
-    that run alternately: the Linux kernel of the guest, and a program in the guest. To wake a
-    process on another core takes five times as long as on the same core. With both processes on one
-    core, a system call of the guest takes 20 us instead of 100 us.
+    that run alternately: the Linux kernel of the guest, and a program in the guest. Waking a
+    process takes five times as long if the process is on a different core. With both processes on
+    one core, a system call of the guest takes 20 us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
@@ -230,10 +230,10 @@ def _memory_folder() -> str:
     system.
     """
     shared_path = Path("/dev/shm")
-    large_enough = shared_path.is_dir() and shutil.disk_usage(shared_path).free > MEMORY_BYTES
+    is_large_enough = shared_path.is_dir() and shutil.disk_usage(shared_path).free > MEMORY_BYTES
     return (
         str(shared_path)
-        if large_enough and not os.statvfs(shared_path).f_flag & os.ST_NOEXEC
+        if is_large_enough and not os.statvfs(shared_path).f_flag & os.ST_NOEXEC
         else tempfile.gettempdir()
     )
 
@@ -276,7 +276,9 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
             return
 
 
-def _report_job(lines: Iterator[str], job: Path, print_line: Callable[[str], None]) -> list[str]:
+def _print_command_output(
+    lines: Iterator[str], job: Path, print_line: Callable[[str], None]
+) -> list[str]:
     """Report the lines that the command in a guest system prints.
 
     Returns: The other lines of the guest's output, before and after the lines of the command. The

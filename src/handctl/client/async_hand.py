@@ -86,7 +86,7 @@ class AsyncHandClient:
     def result(self) -> dict[str, Any]:
         """Return the output of the run that this client has started.
 
-        The output is available after the end of the run.
+        The output of the run is available only after the run has ended.
         """
         return self.client.result
 

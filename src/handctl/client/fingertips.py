@@ -67,7 +67,7 @@ class Fingertips:
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
 
     def tips(self, angles_rad: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the positions of the fingertips (D, 3) in the palm frame at given joint angles [m].
+        """Return the positions (D, 3) [m] of the fingertips in the palm frame, at given joint angles.
 
         Args:
             angles_rad: joint angles [rad], by name of the joint, e.g. ``seen.named("q_rad")``
@@ -104,7 +104,7 @@ class Fingertips:
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
-        """Check goal positions of fingertips, and return each position by the index of its digit."""
+        """Check goal positions of fingertips, and return a mapping from the index of each digit to its position."""
         if isinstance(positions, Mapping):
             if unknown_digits := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(

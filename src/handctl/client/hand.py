@@ -249,8 +249,8 @@ class HandClient:
     def open(self) -> Self:
         """Wait until the hand accepts goals, as the start of a ``with`` block does.
 
-        Notebooks, which cannot use a `with` block over several cells, need this method. This method
-        raises the same errors as the ``with`` statement. Call ``close`` at the end.
+        Notebooks, which cannot use a `with` block over several cells, need this method. The errors
+        of this method are those of ``__enter__``. Call ``close`` at the end.
         """
         with ExitStack() as exit_stack:
             exit_stack.callback(self._finish_command, False)
@@ -476,7 +476,8 @@ class HandClient:
     def take_over(self) -> None:
         """Take over the right to move the hand from another client.
 
-        All digits come to rest. If the other client has an open stream, the stream ends.
+        All digits come to rest. If the client that loses the right has an open stream, the stream
+        ends.
 
         Raises:
             DriveError, BusError: see ``move``.

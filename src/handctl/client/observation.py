@@ -86,7 +86,7 @@ class Observation:
         self._hand = hand
 
     def __getattr__(self, name: str) -> Any:
-        """Return a field of the record."""
+        """Return the value of a field of the record, by the name of the field."""
         # An observation that is being copied or unpickled has no record yet.
         if name == "record":
             raise AttributeError(name)

@@ -110,7 +110,7 @@ class TrackEnv(HandEnv):
         ``reference_ahead_rad``, return the references at the time ``horizon_s`` from now.
         """
         time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
-        return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
+        return self.units.to_si_units(self.reference_deg(self.t_s + time_ahead_s))
 
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step, False, and a dictionary that contains the tracking error.

@@ -217,8 +217,8 @@ class Hand(Section):
         R^T f.
 
         If a moment arm depends on the joint angle, the entry of R is the mean of the moment arm
-        over the range of the joint. For a prismatic joint, the entry of R is the excursion of the
-        tendon per motion of the joint [m/m].
+        over the range of the joint. For a prismatic joint, the entry of the matrix R is the
+        excursion of the tendon per metre of joint motion [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -302,7 +302,7 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return the index of the joint whose link carries the digit, by the name of the digit.
+        """Return a mapping from the name of each digit to the index of the joint whose link carries the digit.
 
         The index is the position of the joint among all joints of the hand. If the palm carries the
         digit, the index is -1.
@@ -320,7 +320,8 @@ class Hand(Section):
     def names_of_carrying_digits(self, digit: str) -> tuple[str, ...]:
         """Return the names of all digits that carry the given digit.
 
-        The first name is the digit on whose last link the given digit is mounted.
+        The names are in order towards the palm. The first name belongs to the digit on whose last
+        link the given digit is mounted.
         """
         carrier_name = self.digit_named(digit).mount_on
         # In an invalid hand file, digits can carry each other in a circle. Later checks refuse a

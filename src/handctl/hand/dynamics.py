@@ -176,12 +176,15 @@ def potential_energy(digit: DigitModel, q: JointValues) -> float:
     The energy would be zero if all mass were at the mount of the digit.
     """
     first_link_pose = rigid_body.link_poses(digit.table, digit.parent, _as_float_array(q))[0]
-    moment = first_link_pose[
+    carried_mass_moment = first_link_pose[
         rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3
     ]
     return -float(
         digit.gravity
-        @ (moment - first_link_pose[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position)
+        @ (
+            carried_mass_moment
+            - first_link_pose[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position
+        )
     )
 
 

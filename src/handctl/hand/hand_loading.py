@@ -176,7 +176,7 @@ def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
 def hand_content(name_or_path: str | Path) -> dict[str, Any]:
     """Return the content of a hand file, with defaults and templates replaced by values.
 
-    The function does not validate the returned content.
+    The function does not check that the content describes a valid hand.
 
     Raises:
         ConfigError: the file is missing, unreadable, or not TOML.

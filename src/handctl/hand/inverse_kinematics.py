@@ -86,8 +86,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
 
     The digit has a single coordinate theta, and its joint angles are q = B theta. The tip therefore
     moves on a curve. A scan finds all intervals of the curve that contain a minimum of the
-    distance. The closest point of the curve is one of the minima or one of the two ends of the
-    curve.
+    distance. The curve is closest to the given point either at a minimum of the distance or at an
+    end of the curve.
 
     Args:
         digit: model of a digit that has a single coordinate.

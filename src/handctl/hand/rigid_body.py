@@ -1,10 +1,11 @@
 """Rigid-body mechanics of trees of links in compiled code: poses, weight and inverse dynamics.
 
-A table of links has a column for each link. The column of a link comes after the column of its
-parent link. ``parent`` contains the column of each link's parent link, or -1 if the parent is the
-palm. The origin of a link's frame is at the joint of the link, and its x axis is along the link.
-The tip of a link lies on the x axis, at the length of the link. Gravity and poses are given in the
-palm frame. The rates and forces in ``write_newton_euler`` are given in the frames of the links.
+In a table of links, each column describes one link. The column of a link comes after the column of
+its parent link. ``parent`` contains the column of each link's parent link, or -1 if the parent is
+the palm. The origin of a link's frame is at the joint of the link, and its x axis is along the
+link. The tip of a link lies on the x axis, at the length of the link. Gravity and poses are given
+in the palm frame. The rates and forces in ``write_newton_euler`` are given in the frames of the
+links.
 
 A joint is a hinge or a prismatic joint. The link of a prismatic joint slides along the joint axis.
 The position of a prismatic joint is in m, and not in rad. At a prismatic joint, a force along the
@@ -253,7 +254,8 @@ def _lever_about_joint(
 ) -> float:
     """Return the lever arm about joint j of a force that acts at the point p [m] in the direction of the unit vector n.
 
-    The lever arm is axis . ((p - joint) x n), and axis . n for a prismatic joint.
+    With the position and the axis of a hinge, the lever arm is axis . ((p - position) x n) [m]. For
+    a prismatic joint, the lever arm is axis . n, without unit.
     """
     if pose[j, POSE_PRISMATIC_COLUMN] != 0.0:
         return (
@@ -651,15 +653,15 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     n = len(q)
     zero_rates = np.zeros(max(n, 3))
     unit = np.zeros(n)
-    matrix = np.empty((n, n))
+    mass_matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, mass_matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):
-            matrix[k, i] = matrix[i, k]
-    return matrix
+            mass_matrix[k, i] = mass_matrix[i, k]
+    return mass_matrix
 
 
 @kernel("matrix", "counts", "vector", "count", "real")

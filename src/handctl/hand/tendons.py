@@ -106,7 +106,7 @@ class TendonElasticity:
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return the tension [N] at the stretch x [m] beyond the knee, minus the tension at the knee."""
+        """Return the rise of the tension [N] above the tension at the knee, for a stretch x [m] beyond the knee."""
         # The function expm1 is accurate even for x close to 0.
         stiffness_decrease = self.stiffness - self.stiffness_beyond_knee
         return self.stiffness_beyond_knee * x - stiffness_decrease * self.knee_width * math.expm1(
@@ -114,7 +114,7 @@ class TendonElasticity:
         )
 
     def _slope(self, x: float) -> float:
-        """Return the stiffness [N/m] at the stretch x [m] beyond the knee."""
+        """Return the stiffness [N/m] for a stretch that is x [m] larger than the stretch at the knee."""
         return self.stiffness_beyond_knee + (
             self.stiffness - self.stiffness_beyond_knee
         ) * math.exp(-x / self.knee_width)

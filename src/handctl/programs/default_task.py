@@ -239,7 +239,7 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 def _pressing_tension(hand: Hand, name: str) -> float:
     """Return the tension [N] with which the closing tendons make a half-closed digit press with PRESSING_FORCE_N."""
     digit = DigitModel.from_hand(hand, name)
-    half_closed_angles = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
+    half_closed_angles = digit.coordinate_units.to_si_units(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half_closed_angles
     springs = digit.coupling.T @ (
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))

@@ -278,7 +278,7 @@ def apply_goal(
                 continue
             if reason := _reach_problem(model, d, estimate, end, request.duration_s):
                 return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
-            goal_coordinates = model.digits[d].coordinate_units.si(end)
+            goal_coordinates = model.digits[d].coordinate_units.to_si_units(end)
             goals[d] = _move_goal(
                 model, d, estimate, start, goal_coordinates, request.duration_s, t
             )

@@ -204,7 +204,9 @@ class TaskProgram:
             return (
                 previous_goal
                 if angle is None
-                else goal_to_move_to_angle(digit, estimate, units.si(angle), phase.duration_s, t)
+                else goal_to_move_to_angle(
+                    digit, estimate, units.to_si_units(angle), phase.duration_s, t
+                )
             )
         if isinstance(phase, FollowPhase):
             curve = _curve_of_digit(phase, digit, estimate)
@@ -218,12 +220,12 @@ class TaskProgram:
             if angle is None or progress.contact[d]:
                 return previous_goal
             # The same number is the speed of hinges in deg/s and of prismatic joints in mm/s.
-            travel_to_goal = units.si(angle) - coordinates_from_excursion(digit, estimate)
+            travel_to_goal = units.to_si_units(angle) - coordinates_from_excursion(digit, estimate)
             travel = float(np.abs(units.as_equivalent_angles(travel_to_goal)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
             )
-            return goal_to_move_to_angle(digit, estimate, units.si(angle), duration, t)
+            return goal_to_move_to_angle(digit, estimate, units.to_si_units(angle), duration, t)
         if not progress.contact[d]:
             return previous_goal
         if isinstance(phase, ReleasePhase):

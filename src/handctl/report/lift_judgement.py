@@ -88,9 +88,11 @@ def _digit_forces(truth: TruthRecord, is_inside: NDArray[np.bool_]) -> dict[str,
 
 def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
     """Return the times [ns] of the ticks from the start of the first hold phase to the end of the last hold phase."""
-    changes = log.phases
-    end_ticks = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
-    phases_with_end_ticks = zip(changes, end_ticks, strict=True)
+    phase_changes = log.phases
+    end_ticks = (
+        [*[change.k for change in phase_changes[1:]], int(log.k[-1]) + 1] if phase_changes else []
+    )
+    phases_with_end_ticks = zip(phase_changes, end_ticks, strict=True)
     hold_spans = [
         (change.k, end) for change, end in phases_with_end_ticks if change.name in hold_phases
     ]

@@ -97,21 +97,21 @@ def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     A mask is True where the hold is settled.
 
     A hold is settled if a digit touches an object, and if the target tensions have been constant
-    for SETTLING_TIME_S. The target tension of a tendon that holds an angle changes with the load.
-    Therefore only the tendons that follow a tension target are checked.
+    for SETTLING_TIME_S. A tendon that holds an angle does not count, because its target tension
+    changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     hold_masks = []
-    changes = log.phases
+    phase_changes = log.phases
     kinds = _kind_by_phase_name(log)
-    for i, change in enumerate(changes):
+    for i, change in enumerate(phase_changes):
         # The phases of a task can have any names, so the kind of a phase comes from the task. Other
         # programs call their hold phases "hold".
         if kinds.get(change.name, change.name[:4]) != "hold":
             continue
-        end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
+        end = phase_changes[i + 1].k if i + 1 < len(phase_changes) else log.k[-1] + 1
         is_inside = (log.k >= change.k) & (log.k < end)
         hold_mask = is_inside & in_contact & _settled_mask(is_inside & moving, is_inside, log)
         if not hold_mask.any() and is_inside.any():
@@ -461,7 +461,7 @@ def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
     The unit is mm if all digits have only prismatic joints. If at least one digit has a hinge, the
-    unit is deg, and 10 mm of a prismatic joint count as 1 rad.
+    unit is deg. Errors of prismatic joints are then converted to angles, with 1 rad for 10 mm.
     """
     units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:
@@ -481,7 +481,7 @@ def measured_bus_load(
         sent_lengths: for every frame in both directions, the number of payload bytes, and True if it is a
             CAN FD frame.
     """
-    duration = float(log.times[-1] - log.times[0]) or 1.0
+    duration_s = float(log.times[-1] - log.times[0]) or 1.0
     return (
-        sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent_lengths) / duration
+        sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent_lengths) / duration_s
     )

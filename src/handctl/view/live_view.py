@@ -44,8 +44,8 @@ def start_live_view(log_path: Path, *viewer_arguments: str) -> "subprocess.Popen
 
 def main() -> int:
     """Run the live view of the log that the first argument names, and return the exit code."""
-    stop = TerminationFlag()
-    signal.signal(signal.SIGTERM, stop)
+    termination_flag = TerminationFlag()
+    signal.signal(signal.SIGTERM, termination_flag)
     with suppress(OSError):
         os.nice(NICE_INCREMENT)
     log = Path(sys.argv[1])
@@ -57,7 +57,7 @@ def main() -> int:
             check_screen_exists()
         from handctl.view.log_follower import follow_logs
 
-        follow_logs([log], arguments, stop)
+        follow_logs([log], arguments, termination_flag)
     except HandctlError as error:
         # A HandctlError always has a printable message.
         print(f"handctl view: {error}", file=sys.stderr)

@@ -62,8 +62,9 @@ def chunks_of_run_by_part(
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
-    The first part of the result has the static chunks. Each later part has the chunks of one time
-    interval of the run. The time intervals are in ascending order.
+    The first part of the result has the chunks that are valid for the whole run. Each part after
+    the first has the chunks of one time interval of the run. The time intervals are in ascending
+    order.
 
     Args:
         path: path of the log. An incomplete log is accepted.

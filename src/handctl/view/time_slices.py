@@ -37,7 +37,7 @@ def time_slices(
     Raises:
         LogError: the log is damaged.
     """
-    file = LogFile(path)
+    log_file = LogFile(path)
     try:
         first_chunk = scan.chunks[0]
         remaining_chunks = scan.chunks[1:]
@@ -49,14 +49,14 @@ def time_slices(
             first_chunk_index = remaining_chunks.index(group[0]) if group else 0
             for chunk in group:
                 # The checksum of each chunk is checked, because Rerun would show damaged data.
-                file.chunk_content(chunk)
+                log_file.chunk_content(chunk)
             # Every part begins with the head of the log file and the first chunk, which contain the
             # definitions of all topics.
             with partial_log.open("wb") as output_file:
-                output_file.write(file.read_range(0, start_offsets[0]))
+                output_file.write(log_file.read_range(0, start_offsets[0]))
                 if group:
                     output_file.write(
-                        file.read_range(
+                        log_file.read_range(
                             start_offsets[first_chunk_index],
                             start_offsets[first_chunk_index + len(group)]
                             - start_offsets[first_chunk_index],
@@ -69,7 +69,7 @@ def time_slices(
                 else first_chunk.first_ns,
             )
     finally:
-        file.close()
+        log_file.close()
 
 
 def _group_chunks(

@@ -156,10 +156,14 @@ def check_watchdog(checks: CheckList) -> None:
     try:
         write_register(bus, motor, DMRegAddr.TIMEOUT, WATCHDOG_UNITS)
         save_register_to_flash(bus, motor, DMRegAddr.TIMEOUT)
-        stored = read_register(bus, motor, DMRegAddr.TIMEOUT)
+        stored_watchdog_units = read_register(bus, motor, DMRegAddr.TIMEOUT)
     finally:
         bus.close()
-    checks.check("the watchdog time is stored", stored == WATCHDOG_UNITS, stored)
+    checks.check(
+        "the watchdog time is stored",
+        stored_watchdog_units == WATCHDOG_UNITS,
+        stored_watchdog_units,
+    )
     client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
 
     def command() -> Any:

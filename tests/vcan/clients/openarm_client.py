@@ -89,13 +89,13 @@ def check_mit_mode(checks: CheckList) -> None:
         arm.recv_all(REPLY_TIMEOUT_US)
         return [motor.get_position() for motor in arm.get_arm().get_motors()]
 
-    def torques() -> list[float]:
+    def command_and_measure_torques() -> list[float]:
         command(0.0, 0.0, start, TORQUE_N_M)
         return [motor.get_torque() for motor in arm.get_arm().get_motors()]
 
     checks.check_eventually(
         "three motors report the commanded torque",
-        torques,
+        command_and_measure_torques,
         lambda measured_torques: all(
             abs(torque - TORQUE_N_M) < 0.01 for torque in measured_torques
         ),

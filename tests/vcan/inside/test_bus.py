@@ -12,7 +12,7 @@ from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
 
-CLASSICAL_FRAME = struct.Struct("=IB3x8s")
+CLASSICAL_FRAME_FORMAT = struct.Struct("=IB3x8s")
 NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
 RECEIVE_TIMEOUT_S = 20.0
 BUS_INDEX = 1
@@ -107,12 +107,12 @@ def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> Non
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as flood_socket:
         flood_socket.bind(("vcan0",))
         for n in range(sent - 1):
-            flood_socket.send(CLASSICAL_FRAME.pack(n & 0x7FF, 0, b""))
+            flood_socket.send(CLASSICAL_FRAME_FORMAT.pack(n & 0x7FF, 0, b""))
         received = 0
         while frames := other_bus.drain():
             received += len(frames)
         # this frame carries the number of frames that Linux has dropped
-        flood_socket.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))
+        flood_socket.send(CLASSICAL_FRAME_FORMAT.pack(0x7FF, 0, b""))
         received += len(drain_bus(other_bus, 1))
     dropped = sum(number for kind, _, number in other_bus.take_events() if kind == "dropped")
     assert 0 < received < sent
@@ -123,14 +123,16 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
     """The test sends error frames as a CAN driver does: a warning, bus-off, and a restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
-        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
+        driver.send(
+            CLASSICAL_FRAME_FORMAT.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0)))
+        )
         assert wait_for_bus_event(bus, "error_warning") == []
-        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x40, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME_FORMAT.pack(ERROR_FLAG | 0x40, 8, bytes(8)))
         assert wait_for_bus_event(bus, "bus_off") == []
         assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), (
             "the event repeats during bus-off"
         )
-        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x100, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME_FORMAT.pack(ERROR_FLAG | 0x100, 8, bytes(8)))
         assert wait_for_bus_event(bus, "restarted") == []
     assert bus.take_events() == []
 
@@ -145,20 +147,22 @@ def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
     return frames
 
 
-def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
+def test_a_full_transmit_queue_refuses_and_is_an_event(
+    slow_tunnel_interfaces: tuple[str, str],
+) -> None:
     """In this test, sent frames wait in a queue that holds ten frames, and then pass a simulated wire of 50 kbit/s.
 
     The Linux module netem simulates the slow wire. A vcan interface alone never refuses a frame.
     """
     sender, receiver = (
         open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, convert_time=int)
-        for name in slow_tunnel
+        for name in slow_tunnel_interfaces
     )
     batch = [Frame(n, bytes(8), bus=BUS_INDEX) for n in range(60)]
     accepted_count = sender.send(batch)
     assert 1 <= accepted_count < len(batch)
     assert sender.take_events() == [
-        ("enobufs", f"socketcan:{slow_tunnel[0]}", len(batch) - accepted_count)
+        ("enobufs", f"socketcan:{slow_tunnel_interfaces[0]}", len(batch) - accepted_count)
     ]
     received_frames = drain_bus(receiver, accepted_count)
     assert [frame.can_id for frame in received_frames] == list(range(accepted_count)), (
@@ -170,7 +174,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
 
 
 @pytest.fixture
-def slow_tunnel() -> Iterator[tuple[str, str]]:
+def slow_tunnel_interfaces() -> Iterator[tuple[str, str]]:
     """Make a CAN tunnel with a slow wire behind the first interface, and yield the names of both interfaces."""
     result = subprocess.run(
         ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False

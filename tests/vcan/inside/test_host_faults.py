@@ -58,7 +58,8 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 class FaultObserver:
     """Observer that injects faults into the controller run that it observes.
 
-    While the hand pulls its tendons, the observer executes one fault action after the other.
+    While the hand pulls its tendons, the observer calls the given functions in their order. Each
+    function causes a fault.
 
     See ``session.run.RunObserver``.
     """
@@ -122,7 +123,7 @@ def run_until_done(
     defect can end a run in the same way as a busy core. If none of five runs ends as expected, the
     function assumes a defect, and the test fails.
     """
-    failure = ""
+    failure_text = ""
     for number in range(5):
         run_folder = work_folder / str(number)
         run_folder.mkdir()
@@ -131,14 +132,16 @@ def run_until_done(
         try:
             outcome, truth = run_tendon_pull(run_folder, observer)
         except LogError as error:  # the run failed because the recorder did not start in time
-            failure = str(error)
+            failure_text = str(error)
             continue
-        failure = outcome.state.failure
-        if not observer.left and (expected_end in failure if expected_end else not failure):
+        failure_text = outcome.state.failure
+        if not observer.left and (
+            expected_end in failure_text if expected_end else not failure_text
+        ):
             (run_folder / "run.mcap").rename(work_folder / "run.mcap")
             return outcome, truth
-        assert any(row in failure for row in STALL_FAULTS), failure
-    pytest.fail(f"none of five runs came through: {failure}")
+        assert any(row in failure_text for row in STALL_FAULTS), failure_text
+    pytest.fail(f"none of five runs came through: {failure_text}")
 
 
 @pytest.fixture

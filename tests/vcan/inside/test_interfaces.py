@@ -1,6 +1,6 @@
 """Test the CAN sockets of Linux without any library.
 
-All other tests in the folder ``tests/vcan/inside`` rely on CAN sockets.
+The other test files in ``tests/vcan/inside`` rely on the CAN sockets that this file tests.
 """
 
 import json
@@ -12,8 +12,8 @@ import pytest
 
 from handctl.drives.frame import BRS, FDF
 
-CLASSICAL_FRAME = struct.Struct("=IB3x8s")
-FD_FRAME = struct.Struct("=IBB2x64s")
+CLASSICAL_FRAME_FORMAT = struct.Struct("=IB3x8s")
+FD_FRAME_FORMAT = struct.Struct("=IBB2x64s")
 
 
 def raw_socket(interface: str) -> socket.socket:
@@ -30,7 +30,7 @@ def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
         ["ip", "-json", "link", "show", interface], capture_output=True, check=True
     ).stdout
     (state,) = json.loads(shown_links)
-    assert state["mtu"] == FD_FRAME.size
+    assert state["mtu"] == FD_FRAME_FORMAT.size
     assert "UP" in state["flags"]
 
 
@@ -38,18 +38,20 @@ def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
 def test_a_classical_frame_arrives_as_sent(payload_length: int) -> None:
     data = bytes(range(payload_length))
     with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
-        sender.send(CLASSICAL_FRAME.pack(0x123, payload_length, data))
-        assert receiver.recv(FD_FRAME.size) == CLASSICAL_FRAME.pack(0x123, payload_length, data)
+        sender.send(CLASSICAL_FRAME_FORMAT.pack(0x123, payload_length, data))
+        assert receiver.recv(FD_FRAME_FORMAT.size) == CLASSICAL_FRAME_FORMAT.pack(
+            0x123, payload_length, data
+        )
 
 
 @pytest.mark.parametrize("payload_length", [0, 12, 64])
 def test_an_fd_frame_arrives_as_sent(payload_length: int) -> None:
-    packed = FD_FRAME.pack(
+    frame_bytes = FD_FRAME_FORMAT.pack(
         0x12345678 | socket.CAN_EFF_FLAG, payload_length, BRS | FDF, bytes(range(payload_length))
     )
     with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
-        sender.send(packed)
-        assert receiver.recv(FD_FRAME.size) == packed
+        sender.send(frame_bytes)
+        assert receiver.recv(FD_FRAME_FORMAT.size) == frame_bytes
 
 
 def test_frames_of_one_bus_do_not_reach_the_other() -> None:
@@ -58,8 +60,8 @@ def test_frames_of_one_bus_do_not_reach_the_other() -> None:
         raw_socket("vcan0") as same_bus_socket,
         raw_socket("vcan1") as other_socket,
     ):
-        sender.send(CLASSICAL_FRAME.pack(1, 0, b""))
-        assert len(same_bus_socket.recv(FD_FRAME.size)) == CLASSICAL_FRAME.size
+        sender.send(CLASSICAL_FRAME_FORMAT.pack(1, 0, b""))
+        assert len(same_bus_socket.recv(FD_FRAME_FORMAT.size)) == CLASSICAL_FRAME_FORMAT.size
         other_socket.setblocking(False)
         with pytest.raises(BlockingIOError):
-            other_socket.recv(FD_FRAME.size)
+            other_socket.recv(FD_FRAME_FORMAT.size)

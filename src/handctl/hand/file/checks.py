@@ -567,9 +567,9 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def moment_arm_key_for_joint(hand: Hand, joint: str) -> str:
-    """Return the key that contains the moment arm of a tendon at a joint.
+    """Return the key that contains the moment arm of a tendon at a joint: ``moment_arm_m`` or ``excursion_ratio``.
 
-    For a prismatic joint, the key is ``excursion_ratio``.
+    The key ``excursion_ratio`` is for prismatic joints, and the key ``moment_arm_m`` is for hinges.
     """
     is_prismatic = hand.is_prismatic[hand.joints.index(joint)]
     return "excursion_ratio" if is_prismatic else "moment_arm_m"
@@ -756,8 +756,8 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) for each CAN frame of a hand.
 
-    This module does not know the identifiers of some protocols. For a motor with such a protocol, a
-    text with protocol and node number replaces the identifier.
+    If this module does not know the identifiers of a motor's protocol, a text with protocol and
+    node number replaces the identifier.
     """
     for protocol, identifier, use_text in IDS_SHARED_BY_MOTORS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:

@@ -57,7 +57,7 @@ class DisplayUnits(NamedTuple):
         """Convert positions (.., n) [rad or m] to displayed units [deg or mm]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.factor)
 
-    def si(self, values: ArrayLike) -> Array:
+    def to_si_units(self, values: ArrayLike) -> Array:
         """Convert displayed positions (.., n) [deg or mm] to SI units [rad or m]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.si_factor)
 

@@ -211,7 +211,7 @@ def _unknown_key_mistake(
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
-    The mistake proposes the valid key that is most similar to the unknown key.
+    The returned ``FileMistake`` proposes the valid key that is most similar to the unknown key.
     """
     if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
@@ -252,7 +252,7 @@ def with_paths_in_hand_file(
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     """Join mistakes that differ only in the section name of their key path.
 
-    The result has a joined mistake at the position of the first of its single mistakes. The key
+    In the result, a joined mistake replaces the first of the mistakes that were joined. The key
     path of a joined mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}

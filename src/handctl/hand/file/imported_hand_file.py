@@ -150,10 +150,11 @@ class _SectionLine:
 
 
 def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tendons of a robot description that a hand file can contain, and a note about each other tendon.
+    """Return the tendons that a hand file can contain, and a note about each tendon that it cannot contain.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, ``is_spool_pair``,
-    ``sliding`` and ``arms``. The keys of ``arms`` are the short names of joints.
+    ``sliding`` and ``arms``. ``arms`` is a mapping from the short name of a joint, such as ``j1``,
+    to the moment arm of the tendon at this joint.
     """
     joint_indices = {
         joint: (digit.name, f"j{i + 1}")
@@ -579,7 +580,7 @@ def _drive_lines(
 
 
 def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values that all tendons have in common."""
+    """Yield the lines of the section ``[default.tendon]``, with the values that all tendons have in common."""
     tension = import_answers.tension_N
     value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,

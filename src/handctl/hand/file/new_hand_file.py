@@ -451,10 +451,11 @@ def _closing_tendons(hand_answers: NewHandAnswers) -> list[int]:
 def _moment_arms(hand_answers: NewHandAnswers, tendon: int) -> list[float]:
     """Return the moment arm [m] of a digit's tendon at each joint that the tendon crosses.
 
-    Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
-    digit, and n tendons close it. If the n closing tendons have equal tensions, the opening tendon
-    needs n times the tension of one closing tendon to balance all of them. The moment arm of the
-    opening tendon at a joint is in proportion to the number of tendons that close the joint.
+    If a digit has n joints and n + 1 tendons, one tendon opens the digit, and n tendons close it.
+    The closing tendon with index i crosses the joints 0 to i. If the n closing tendons have equal
+    tensions, the opening tendon needs n times the tension of one closing tendon to balance all of
+    them. The moment arm of the opening tendon at a joint is in proportion to the number of tendons
+    that close the joint.
 
     Args:
         hand_answers: the user's hand_answers.
@@ -509,9 +510,9 @@ watchdog_ms = 50{options_line(hand_answers.protocol, drive_options, hand_answers
 
 
 def options_line(protocol: str, drive_options: Mapping[str, Any], has_cells: bool) -> str:
-    """Return the line with the options of the drives.
+    """Return the TOML text with the options of the drives, which begins with a line break.
 
-    The returned line is empty if the protocol has no options.
+    The returned text is empty if the protocol has no options.
 
     Args:
         protocol: protocol of the drives.

@@ -59,7 +59,7 @@ class TomlEntry:
     comment: str = ""
 
     def line(self) -> str:
-        """Return the text of the line."""
+        """Return the TOML text of this entry, with its comment."""
         if not self.key:
             return self.text
         return f"{self.key} = {self.text}" + (f"   {self.comment}" if self.comment else "")

@@ -450,7 +450,7 @@ class Digit(Section):
         """Return the smallest and the largest position [rad or m] of each joint."""
         units = self.display_units
         low, high = (
-            tuple(np.where(self.is_prismatic, values, units.si(values)).tolist())
+            tuple(np.where(self.is_prismatic, values, units.to_si_units(values)).tolist())
             for values in map(self.joint_values, REVOLUTE_KEYS[:2])
         )
         return low, high

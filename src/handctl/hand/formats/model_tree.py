@@ -374,8 +374,9 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
     """Return a name for a digit that no other digit has.
 
-    The name is the common beginning of the names of all joints or links in the digit. If the names
-    have no usable common beginning, the name of the digit contains a number.
+    The name is the common beginning of the names of all joints or links in the digit. If the common
+    beginning is empty, invalid as a name or already used, the digit is named ``digit_1``,
+    ``digit_2`` and so on.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common_prefix = names[0]

@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 
 def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
-    """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
+    """Return the times (n,) [ns] of the rows of a chunk, counted from the start of the run."""
     return (
         np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
     )

@@ -1,4 +1,4 @@
-"""Static chunks of a run: names, colours and frames of the dashboard's entities."""
+"""Chunks that are valid for a whole run: names, colours and coordinate frames of the dashboard's entities."""
 
 from collections.abc import Iterator, Sequence
 
@@ -22,7 +22,7 @@ The constants above are the widths of the lines for estimates and commands.
 
 
 def style_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the static chunks of a run with names, colours and frames."""
+    """Yield the chunks that are valid for the whole run: names, colours and coordinate frames of the entities."""
     yield from _tension_styles(run)
     yield from _angle_styles(run)
     yield from _force_styles(run)

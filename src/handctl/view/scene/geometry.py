@@ -61,12 +61,12 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
     for link, attached in run.meshes.items():
         mesh = attached.mesh
         path = f"/hand/{link}/mesh"
-        asset = rr.Asset3D.columns(
+        mesh_columns = rr.Asset3D.columns(
             blob=[attached.data],
             media_type=[MESH_MEDIA_TYPES[mesh.suffix]],
             albedo_factor=[link_colour(link, run)],
         )
-        yield static_chunk(path, asset)
+        yield static_chunk(path, mesh_columns)
         pose = rr.InstancePoses3D.columns(
             translations=[mesh.position],
             quaternions=[quaternion_of_rotation(mesh.rotation)],

@@ -174,10 +174,10 @@ def lines_with_uncertainty_band(
 
     The band has a gap where the standard deviation is unknown.
     """
-    measured_lines = rr.Measurements.columns(
+    band_columns = rr.Measurements.columns(
         values=line_values.ravel(), variances=np.nan_to_num(sigma**2).ravel()
     )
-    return measured_lines.partition([line_values.shape[1]] * len(line_values))
+    return band_columns.partition([line_values.shape[1]] * len(line_values))
 
 
 def plot_lines(line_values: FloatArray) -> rr.ComponentColumnList:
