@@ -7,9 +7,9 @@ fuzzing target has the following fields, with their widths in bits:
 
 The state byte selects the initial state of the drive. The identifier byte selects one of the
 identifiers of the node, because a random CAN identifier hardly ever belongs to a node. The shape
-byte selects the flags of the frame. The shape byte also selects whether the payload has 8 bytes, or
-the length in the control byte. The control byte also selects the pause before the frame, and the
-state that the host requests from the drive.
+byte selects the CAN flags of the frame, and one of two payload lengths: 8 bytes, or the number of
+bytes in the control byte. The control byte also selects the pause before the frame, and the state
+that the host requests from the drive.
 
 The corpus begins with inputs that contain recorded frames. A simulated drive sent the recorded
 frames between the first tick and the tick in which the drive made torque.
@@ -147,8 +147,8 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 def _payload_header(payload: bytes) -> tuple[int, int]:
     """Return the shape byte and the control byte, which precede a payload in an input of the fuzzer.
 
-    With the shape byte 1, the payload has 8 bytes. With the shape byte 0, the control byte is the
-    length of the payload.
+    If the shape byte is 1, the payload has 8 bytes. If the shape byte is 0, the payload has as many
+    bytes as the control byte says.
     """
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 

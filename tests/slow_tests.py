@@ -9,14 +9,14 @@
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S`` [s]. `make test`
-sets ``HANDCTL_SLOW_S`` to 0 s. CI uses 3 s for tests in simulated time, and 0 s for tests that run
-in real time. `make nightly` and plain pytest run all listed tests. The cost of a test is its
-processor time. For a test that runs in real time, the cost is its elapsed time. A test run that
-leaves out tests still executes the first cases of each test function, until the cost of these cases
-reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for
-tests that run in real time. An incomplete test run also executes the cheapest test of each file, if
-this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests
-executes at least one test of nearly every file.
+sets ``HANDCTL_SLOW_S`` to 0 s. CI sets ``HANDCTL_SLOW_S`` to 3 s for tests in simulated time, and
+to 0 s for tests that run in real time. `make nightly` and plain pytest run all listed tests. The
+cost of a test is its processor time. For a test that runs in real time, the cost is its elapsed
+time. A test run that leaves out tests still executes the first cases of each test function, until
+the cost of these cases reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or
+``REAL_CLOCK_BUDGET_S`` for tests that run in real time. An incomplete test run also executes the
+cheapest test of each file, if this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a
+test run that leaves out tests executes at least one test of nearly every file.
 """
 
 import json

@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal, apart from a difference that has no effect.
 
-    The time of the last sign of life of a CiA 402 drive has no effect if feedback arrived after the
-    sign of life.
+    For a CiA 402 drive, the later of two times has an effect: the time of the last feedback, and the
+    time of the last sign of life. The earlier of the two times is not compared.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (

@@ -289,8 +289,7 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 def test_known_numbers_of_the_paper_s_finger():
     """The weight torque and the inertia at joint 1 of a finger equal separately computed values.
 
-    The compared weight torque is that of a straight finger. The compared inertia is that of a bent
-    finger.
+    The weight torque is compared for a straight finger, and the inertia for a bent finger.
     """
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)

@@ -129,8 +129,9 @@ def test_every_unit_of_the_digits_is_named(
 ) -> None:
     """Reproduce a defect: the axis for the joint angle of a finger had no label.
 
-    In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had a
-    label. The label contained the unit mm, so the angle of the finger seemed to be in mm, too.
+    In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had
+    a label. Because this label contained the unit mm, readers could think that the angle of the
+    finger was also in mm.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})

@@ -314,7 +314,8 @@ def _wrong_amplifiers(state: ControllerState) -> list[str]:
 def _silent_sensors(state: ControllerState) -> list[str]:
     """Return the name of each amplifier whose set-up is not complete.
 
-    If every set-up is complete, return a single name for all sensors of the hand.
+    If the set-up of every amplifier is complete, return a list with one name that stands for all
+    sensors of the hand.
     """
     amplifiers = state.decisions.amplifiers
     unready_amplifiers = [

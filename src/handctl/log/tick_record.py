@@ -338,7 +338,7 @@ def message_layout(message: bytes) -> MessageLayout:
 def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames, and the bytes of `long_data` that these frames do not use.
 
-    The unused bytes belong to later frames.
+    The returned bytes of `long_data` belong to frames that come later in the record.
 
     Args:
         frame_starts: first FRAME_RECORD_BYTES bytes of each frame.

@@ -175,7 +175,8 @@ def torque_resolution(drive: Drive) -> float:
     """Return the resolution of a drive's torque [N m at the spool].
 
     The resolution is the torque of one count in the feedback, or of one count in the command if
-    this count is larger. If the torque is a floating-point number, the result is 0.
+    this count is larger. If the drive sends and receives the torque as a floating-point number, the
+    result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [

@@ -35,8 +35,8 @@ def detect_unsolicited_replies(
 ) -> tuple[str, ...]:
     """Detect the unsolicited and the duplicate replies of a tick.
 
-    The function writes the kind of each node's duplicates into ``DUPLICATE_REPLIES``, see
-    ``_duplicate_kind``.
+    For each node with duplicate replies, the function writes a number into ``DUPLICATE_REPLIES``:
+    the kind of the duplicates, from ``_duplicate_kind``.
 
     Args:
         drives: drives of the hand.
