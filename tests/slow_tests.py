@@ -60,11 +60,11 @@ def processor_time() -> float:
 
     The returned time does not include child processes that still run.
     """
-    usages = [
+    resource_usages = [
         resource.getrusage(usage_kind)
         for usage_kind in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     ]
-    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    return sum(usage.ru_utime + usage.ru_stime for usage in resource_usages)
 
 
 class DurationRecorder:
@@ -149,7 +149,7 @@ def main(path: Path, keep_listed_tests: bool) -> None:
         *(f"{cost_by_slow_test[test]:.1f} {test}" for test in sorted(cost_by_slow_test)),
     ]
     SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    sample_s = sum(
+    sample_cost_s = sum(
         processor_time_s
         for test, processor_time_s, _, is_real_clock in rows
         if test not in cost_by_slow_test and not is_real_clock
@@ -160,7 +160,9 @@ def main(path: Path, keep_listed_tests: bool) -> None:
         if test not in cost_by_slow_test and is_real_clock
     )
     print(f"{len(cost_by_slow_test)} of {len(rows)} tests are slow")
-    print(f"a sample takes {sample_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock")
+    print(
+        f"a sample takes {sample_cost_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock"
+    )
 
 
 if __name__ == "__main__":

@@ -63,9 +63,9 @@ def frames_of_all_kinds(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[
 
     Frames with more than 8 bytes are CAN FD frames.
     """
-    chance = random.Random(seed)
-    for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
-        data = chance.randbytes(64)
+    random_source = random.Random(seed)
+    for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, random_source))]:
+        data = random_source.randbytes(64)
         for length in PAYLOAD_LENGTHS:
             yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
 

@@ -239,12 +239,12 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
         side = forward_kinematics(digit, q).rotation[:, 1]
         assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
         for link in range(digit.joint_count):
-            middle_result = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
+            middle_jacobian = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
             normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
             lever = rigid_body.tip_levers(
                 digit.table, digit.parent, q, link, 0.5 * digit.lengths[link]
             )
-            assert np.allclose(lever, normal @ middle_result, atol=1e-14)
+            assert np.allclose(lever, normal @ middle_jacobian, atol=1e-14)
 
 
 @pytest.fixture(

@@ -49,9 +49,9 @@ def detect_unsolicited_replies(
         One phrase for each motor that has replied without a request.
     """
     duplicates = state.view("twice")
-    surplus_counts = state.view("surplus").tolist()
+    excess_reply_counts = state.view("surplus").tolist()
     signs = []
-    for n, count in enumerate(surplus_counts):
+    for n, count in enumerate(excess_reply_counts):
         # ``EXCESS_REPLY_COUNT`` contains the number of requests without a reply, plus 1. If a reply
         # arrives while the value of ``EXCESS_REPLY_COUNT`` is 1, there was no request for the
         # reply.
