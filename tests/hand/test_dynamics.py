@@ -35,7 +35,7 @@ def arrays_agree(computed, reference):
     )
 
 
-def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
+def pinocchio_chain(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     """Build a digit in pinocchio as a chain of hinges and prismatic joints, without the URDF of the digit."""
     model, parent = pinocchio.Model(), 0
     placement = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
@@ -68,7 +68,7 @@ def joint_rotation(digit: DigitModel, link_index: int) -> np.ndarray:
 def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity_m_s2):
     for digit in digits:
         digit = digit.with_gravity(gravity_m_s2)
-        model = pinocchio_by_hand(digit, gravity_m_s2)
+        model = pinocchio_chain(digit, gravity_m_s2)
         data = model.createData()
         for q, dq, ddq in random_motions(rng, digit.joint_count):
             tau = pinocchio.rnea(model, data, q, dq, ddq)

@@ -41,7 +41,7 @@ from tests.hand.test_dynamics import (
     RELATIVE_TOLERANCE,
     arrays_agree,
     inverse_dynamics_of_hand,
-    pinocchio_by_hand,
+    pinocchio_chain,
     random_motions,
 )
 
@@ -71,7 +71,7 @@ def test_random_hands_have_all_counts_of_links():
 def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits, rng):
     hand, digits = random_hand_and_digits
     for digit in digits:
-        model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
+        model = pinocchio_chain(digit, hand.mount.gravity_m_s2)
         tip = model.addFrame(
             pinocchio.Frame(
                 "tip",
@@ -200,7 +200,7 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms in the log are computed only from the text of the hand file.
 
-    Combined along each digit, the transforms in the log equal those of the hand model.
+    For each digit, the product of the transforms in the log equals the pose in the hand model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
