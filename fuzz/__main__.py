@@ -57,7 +57,7 @@ def parsed_arguments() -> argparse.Namespace:
 
 
 def fuzz_target(
-    target_name: str, duration_s: int, run_count: int, is_blind: bool = False
+    target_name: str, duration_s: int, run_count: int, without_coverage: bool = False
 ) -> tuple[str, bool]:
     """Fuzz one fuzzing target in a separate process.
 
@@ -82,7 +82,7 @@ def fuzz_target(
         str(corpus_folder),
         *limits,
     ]
-    if is_blind:
+    if without_coverage:
         command = [
             sys.executable,
             "-m",
@@ -106,18 +106,20 @@ def fuzz_target(
             False,
         )
     number = int(run_match[1])
-    duration_text_s = max(1, int(run_match[2]))
-    if is_blind and not int(run_match[3]):
+    elapsed_s = max(1, int(run_match[2]))
+    if without_coverage and not int(run_match[3]):
         return (
             f"{target_name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
             False,
         )
-    edges = f"edges {coverage_counts[-1][0]:>6}" if coverage_counts else "no edges"
+    edge_count_text = f"edges {coverage_counts[-1][0]:>6}" if coverage_counts else "no edges"
     coverage_text = (
-        f"blind, {100 * int(run_match[3]) / number:.1f} % accepted" if is_blind else edges
+        f"blind, {100 * int(run_match[3]) / number:.1f} % accepted"
+        if without_coverage
+        else edge_count_text
     )
     return (
-        f"{target_name:13} {number:>10,} inputs {duration_text_s:>6} s {number // duration_text_s:>8,}/s   "
+        f"{target_name:13} {number:>10,} inputs {elapsed_s:>6} s {number // elapsed_s:>8,}/s   "
         f"{coverage_text}",
         True,
     )

@@ -97,7 +97,7 @@ def mutated_content(
 def _copy_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
     """Replace each node on a path of a document by a copy, and return the copy of the last node.
 
-    Return None if an earlier change of the document has removed a node of the path.
+    An earlier mutation may have removed a node of the path from the document. If so, return None.
     """
     node: Any = root_table
     for key in node_path:

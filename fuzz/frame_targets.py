@@ -7,9 +7,9 @@ fuzzing target has the following fields, with their widths in bits:
 
 The state byte selects the initial state of the drive. The identifier byte selects one of the
 identifiers of the node, because a random CAN identifier hardly ever belongs to a node. The shape
-byte selects the flags of the frame. The shape byte also selects whether the payload has 8 bytes, or
-the length in the control byte. The control byte also selects the pause before the frame, and the
-state that the host requests from the drive.
+byte selects the CAN flags of the frame, and one of two payload lengths: 8 bytes, or the number of
+bytes in the control byte. The control byte also selects the pause before the frame, and the state
+that the host requests from the drive.
 
 The corpus begins with inputs that contain recorded frames. A simulated drive sent the recorded
 frames between the first tick and the tick in which the drive made torque.
@@ -106,8 +106,8 @@ def record_states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, li
             recorded_states.append(
                 RecordedState(bench.states[0], bench.k * bench.period_ns, received_frames)
             )
-        are_ready = all(state.phase >= DrivePhase.READY for state in bench.states)
-        bench.tick(DriveTarget.ENABLE if are_ready else DriveTarget.POLL)
+        are_drives_ready = all(state.phase >= DrivePhase.READY for state in bench.states)
+        bench.tick(DriveTarget.ENABLE if are_drives_ready else DriveTarget.POLL)
     recorded_states.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
     bench.simulated_hand.close()
     return motor, recorded_states
@@ -119,12 +119,11 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
     The frames were recorded from the first tick until the drive made torque.
     """
     motor, recorded_states = record_states_until_torque(drive_name, folder)
-    drive_identifiers = selectable_identifiers(motor, recorded_states)
+    selectable_ids = selectable_identifiers(motor, recorded_states)
     inputs = []
     for i, (_, _, received_frames) in enumerate(recorded_states):
         operations = [
-            bytes((drive_identifiers.index(frame.can_id), *_payload_header(frame.data)))
-            + frame.data
+            bytes((selectable_ids.index(frame.can_id), *_payload_header(frame.data))) + frame.data
             for frame in received_frames[:MAX_FRAMES]
         ]
         inputs.append(bytes((i,)) + b"".join(operations))
@@ -147,8 +146,8 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 def _payload_header(payload: bytes) -> tuple[int, int]:
     """Return the shape byte and the control byte, which precede a payload in an input of the fuzzer.
 
-    With the shape byte 1, the payload has 8 bytes. With the shape byte 0, the control byte is the
-    length of the payload.
+    If the shape byte is 1, the payload has 8 bytes. If the shape byte is 0, the payload has as many
+    bytes as the control byte says.
     """
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
@@ -156,21 +155,21 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
 def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the fuzzing target for a drive of ``FUZZED_DRIVES``."""
 
-    def make_target(folder: Path) -> FuzzTarget:
+    def make_fuzz_target(folder: Path) -> FuzzTarget:
         motor, recorded_states = record_states_until_torque(drive_name, folder)
-        drive_identifiers = selectable_identifiers(motor, recorded_states)
+        selectable_ids = selectable_identifiers(motor, recorded_states)
         return lambda data: _feed_drive(
             motor,
             recorded_states[data[0] % len(recorded_states)] if data else recorded_states[0],
-            drive_identifiers,
+            selectable_ids,
             data,
         )
 
-    return make_target
+    return make_fuzz_target
 
 
 def _feed_drive(
-    motor: Drive, start_state: RecordedState, drive_identifiers: Sequence[int], data: bytes
+    motor: Drive, start_state: RecordedState, selectable_ids: Sequence[int], data: bytes
 ) -> bool:
     """Feed the frames of an input to the decoder of a drive.
 
@@ -179,7 +178,7 @@ def _feed_drive(
     """
     state = start_state.state
     is_accepted = False
-    for frame, control_byte in frames_of_input(data, drive_identifiers, start_state.t_ns):
+    for frame, control_byte in frames_of_input(data, selectable_ids, start_state.t_ns):
         state_after = motor.receive(state, frame)
         is_accepted = is_accepted or state_after is not state
         state, sent_frames = _advance_drive(motor, state_after, frame.t_ns + STEP_NS, control_byte)

@@ -35,9 +35,9 @@ def main() -> None:
         include=["handctl", "firmware_sim"], exclude=compiled_modules()
     ):
         from fuzz.targets import TARGET_FACTORIES, seed_inputs
-    shared_path = Path("/dev/shm")
+    memory_folder = Path("/dev/shm")
     folder = Path(
-        tempfile.mkdtemp(prefix="fuzz-", dir=shared_path if shared_path.is_dir() else None)
+        tempfile.mkdtemp(prefix="fuzz-", dir=memory_folder if memory_folder.is_dir() else None)
     )
     for i, seed in enumerate(seed_inputs(name, folder)):
         (Path(corpus) / f"seed-{i}").write_bytes(seed)

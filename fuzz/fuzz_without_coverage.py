@@ -95,9 +95,9 @@ def feed_inputs(
 def main() -> None:
     """Fuzz one fuzzing target for the requested time or number of inputs."""
     name, corpus_folder, crash_folder, duration_s, run_count, max_input_bytes = sys.argv[1:]
-    shared_path = Path("/dev/shm")
+    memory_folder = Path("/dev/shm")
     folder = Path(
-        tempfile.mkdtemp(prefix="fuzz-", dir=shared_path if shared_path.is_dir() else None)
+        tempfile.mkdtemp(prefix="fuzz-", dir=memory_folder if memory_folder.is_dir() else None)
     )
     corpus_inputs = [
         path.read_bytes()[: int(max_input_bytes)] for path in sorted(Path(corpus_folder).iterdir())

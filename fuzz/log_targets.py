@@ -121,13 +121,13 @@ def _split_log(path: Path) -> list[list[bytes]]:
     result = RecordScan()
     scan_records(file, result)
     raw_bytes = path.read_bytes()
-    contents = [bytes(file.chunk_content(chunk_location)) for chunk_location in result.chunks]
+    chunk_contents = [bytes(file.chunk_content(chunk_location)) for chunk_location in result.chunks]
     file.close()
-    channels = schemas_and_channels(contents[0]).channels
+    channels = schemas_and_channels(chunk_contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in FUZZED_TOPICS}
     chunks = [
         [record for record in _split_records(content) if _is_of_kept_channel(record, schemas)]
-        for content in contents
+        for content in chunk_contents
     ]
     first_records = list(_split_records(raw_bytes[8 : result.chunks[0].offset]))
     tail_records = list(_split_records(raw_bytes[result.chunks[-1].end : -8]))

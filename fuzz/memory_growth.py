@@ -1,11 +1,9 @@
 """Measure how the memory of controller and recorder grows: ``python -m fuzz.memory_growth --hours 1``.
 
-The time is simulated.
-
-``fuzz.soak --calm`` measures the same growth in real time. The module ``fuzz.memory_growth`` runs
-the same control loop, controller and recorder as ``fuzz.soak``, but on a simulated clock and a
-simulated bus. The simulated clock makes the measured growth independent of the load of the
-computer.
+The module ``fuzz.memory_growth`` runs the same control loop, controller and recorder as
+``fuzz.soak``, but on a simulated clock and a simulated bus. The simulated clock makes the measured
+growth independent of the load of the computer. To measure the memory growth in real time, run
+``fuzz.soak --calm``.
 """
 
 import argparse

@@ -113,7 +113,7 @@ class SoakTest:
 
         ``seed`` selects the faults. ``time_scale`` is the time scale of simulator and controller.
         """
-        self.chance = random.Random(seed)
+        self.random_source = random.Random(seed)
         self.scale = str(time_scale)
         self.samples_by_process: dict[str, list[list[MemorySample]]] = {
             "simulator": [],
@@ -215,7 +215,7 @@ class SoakTest:
     def inject_random_fault(self) -> str:
         """Inject a random fault, and return the description of the fault."""
         hand = load_simulated("jamia")
-        kind = self.chance.choice(
+        kind = self.random_source.choice(
             [
                 fault_kind
                 for fault_kind in FAULT_KINDS
@@ -230,8 +230,8 @@ class SoakTest:
             for component in FAULT_KINDS[kind].components
             for name in instances_of_component(component, hand, kind)
         ]
-        component, name = self.chance.choice(instances)
-        text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
+        component, name = self.random_source.choice(instances)
+        text = f"{kind} {component}={name} for={self.random_source.choice((1, 20, 200, 2000))}ms"
         if run_handctl("fault", "inject", text, "--bus", LOCAL_BUS).returncode:
             self.errors.append(f"refused: {text}")
         self.counts["faults"] += 1

@@ -9,14 +9,14 @@
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S`` [s]. `make test`
-sets ``HANDCTL_SLOW_S`` to 0 s. CI uses 3 s for tests in simulated time, and 0 s for tests that run
-in real time. `make nightly` and plain pytest run all listed tests. The cost of a test is its
-processor time. For a test that runs in real time, the cost is its elapsed time. A test run that
-leaves out tests still executes the first cases of each test function, until the cost of these cases
-reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or ``REAL_CLOCK_BUDGET_S`` for
-tests that run in real time. An incomplete test run also executes the cheapest test of each file, if
-this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a test run that leaves out tests
-executes at least one test of nearly every file.
+sets ``HANDCTL_SLOW_S`` to 0 s. CI sets ``HANDCTL_SLOW_S`` to 3 s for tests in simulated time, and
+to 0 s for tests that run in real time. `make nightly` and plain pytest run all listed tests. The
+cost of a test is its processor time. For a test that runs in real time, the cost is its elapsed
+time. A test run that leaves out tests still executes the first cases of each test function, until
+the cost of these cases reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or
+``REAL_CLOCK_BUDGET_S`` for tests that run in real time. An incomplete test run also executes the
+cheapest test of each file, if this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a
+test run that leaves out tests executes at least one test of nearly every file.
 """
 
 import json
@@ -60,11 +60,11 @@ def processor_time() -> float:
 
     The returned time does not include child processes that still run.
     """
-    usages = [
+    resource_usages = [
         resource.getrusage(usage_kind)
         for usage_kind in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     ]
-    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    return sum(usage.ru_utime + usage.ru_stime for usage in resource_usages)
 
 
 class DurationRecorder:
@@ -149,7 +149,7 @@ def main(path: Path, keep_listed_tests: bool) -> None:
         *(f"{cost_by_slow_test[test]:.1f} {test}" for test in sorted(cost_by_slow_test)),
     ]
     SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    sample_s = sum(
+    sample_cost_s = sum(
         processor_time_s
         for test, processor_time_s, _, is_real_clock in rows
         if test not in cost_by_slow_test and not is_real_clock
@@ -160,7 +160,9 @@ def main(path: Path, keep_listed_tests: bool) -> None:
         if test not in cost_by_slow_test and is_real_clock
     )
     print(f"{len(cost_by_slow_test)} of {len(rows)} tests are slow")
-    print(f"a sample takes {sample_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock")
+    print(
+        f"a sample takes {sample_cost_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock"
+    )
 
 
 if __name__ == "__main__":

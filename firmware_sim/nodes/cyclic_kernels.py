@@ -1,11 +1,11 @@
 """Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-A table contains the first receiver of each identifier. Each entry in the array of receivers
-contains the index of the next receiver of the same identifier. The kernel stops at a frame that
-Python must process: a special command, a register request, a frame of wrong length, or any frame
-while a watchdog is due. After a stop of the kernel, the node processes the frame in Python, and the
-kernel continues with the next frame. The bit layouts are in ``mit.codec``, ``odrive.node``,
-``cia402.kernels`` and ``sensor_node``.
+For each CAN identifier, a table contains the index of the first node that receives frames with this
+identifier. Each entry in the array of receivers contains the index of the next receiver of the same
+identifier. The kernel stops at a frame that Python must process: a special command, a register
+request, a frame of wrong length, or any frame while a watchdog is due. After a stop of the kernel,
+the node processes the frame in Python, and the kernel continues with the next frame. The bit
+layouts are in ``mit.codec``, ``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
 """
 
 import ctypes

@@ -14,8 +14,8 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
 The first tension frame has the base identifier. The first joint frame has the base identifier +
 0x10. Each further tension frame or joint frame has the next higher identifier. A frame with fewer
-than five channels has only as many bytes as its channels need. Source: DBC of the hand,
-sensor_node.
+than five channels has only as many bytes as its channels need. Source: node ``sensor_node`` in the
+DBC file of the hand.
 """
 
 import ctypes
@@ -156,7 +156,8 @@ def bias_drift_deviation(node: Any, t_ns: int) -> float:
 
     The function also stores the time of the present sample in the node.
 
-    After 100 s, the standard deviation of the bias is ``bias_drift``.
+    The bias is a random walk. Its standard deviation 100 s after the start is ``node.bias_drift``
+    [N].
     """
     elapsed_s = (t_ns - node.sampled_ns) * 1e-9 if node.sampled_ns >= 0 else 0.0
     node.sampled_ns = t_ns

@@ -108,6 +108,6 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(
         )
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **keyword_arguments: done)
-        line, good = fuzz_target("log", 0, 256, is_blind=True)
+        line, good = fuzz_target("log", 0, 256, without_coverage=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

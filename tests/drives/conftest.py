@@ -1,6 +1,6 @@
 """Test fixtures: a drive object of handctl, and a model of the motor that this object controls.
 
-As in the controller, the drive object runs tick by tick.
+The fixtures call the drive object once per tick, as the controller does.
 """
 
 from collections.abc import Mapping

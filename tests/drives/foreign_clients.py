@@ -1,6 +1,6 @@
 """Typical use of the motor clients of other projects.
 
-The clients command simulated drives of ``python -m firmware_sim drive`` on any bus.
+The clients run on any bus on which ``python -m firmware_sim drive`` simulates drives.
 
 Each function enables a drive, commands a torque, checks that the free shaft turns, and disables the
 drive. The clients give up after waiting 0.4 s to 1 s for a reply. The functions of this module wait

@@ -41,7 +41,7 @@ def use_lerobot_robstride(
         _turn_by_torque(bus, f"m{node_ids[0]}")
         goal = float(bus.read("Present_Position", f"m{node_ids[0]}")) - 20.0
         _wait_until(
-            lambda: abs(_hold_position(bus, f"m{node_ids[0]}", goal) - goal) < 2.0,
+            lambda: abs(_position_after_command(bus, f"m{node_ids[0]}", goal) - goal) < 2.0,
             "held at a position",
         )
         bus.disable_torque()
@@ -69,7 +69,9 @@ def _turn_by_torque(bus: RobstrideMotorsBus, motor_name: str) -> None:
     bus._mit_control(motor_name, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def _hold_position(bus: RobstrideMotorsBus, motor_name: str, goal_position: float) -> float:
+def _position_after_command(
+    bus: RobstrideMotorsBus, motor_name: str, goal_position: float
+) -> float:
     bus._mit_control(motor_name, 10.0, 1.0, goal_position, 0.0, 0.0)
     return float(bus.read("Present_Position", motor_name))
 

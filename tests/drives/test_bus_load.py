@@ -1,7 +1,7 @@
 """Test the predicted bus load.
 
-The expected bus loads come from a table of frame lengths in bits, and from frames whose stuff bits
-are counted.
+Some tests compare the predicted frame times with reference values. Other tests build frames bit by
+bit, and count the stuff bits.
 """
 
 import pytest

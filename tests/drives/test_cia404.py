@@ -231,22 +231,22 @@ def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Ampli
 
 def test_a_unit_that_is_right_already_is_not_written(bench: AmplifierBench) -> None:
     bench.run_until_phase(DrivePhase.READY)
-    written = [
+    written_objects = [
         frame.data[1:4]
         for frame in bench.sent_frames
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
-    assert bytes.fromhex("316101") in written
+    assert bytes.fromhex("316101") in written_objects
     bench.states = [amplifier.initial_state() for amplifier in bench.sensors.amplifiers]
     bench.sent_frames.clear()
     bench.run_until_phase(DrivePhase.READY)
-    written = [
+    written_objects = [
         frame.data[1:4]
         for frame in bench.sent_frames
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
-    assert bytes.fromhex("316101") not in written
-    assert bytes.fromhex("001801") in written
+    assert bytes.fromhex("316101") not in written_objects
+    assert bytes.fromhex("001801") in written_objects
 
 
 def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:

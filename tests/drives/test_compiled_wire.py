@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal, apart from a difference that has no effect.
 
-    The time of the last sign of life of a CiA 402 drive has no effect if feedback arrived after the
-    sign of life.
+    For a CiA 402 drive, the later of two times has an effect: the time of the last feedback, and the
+    time of the last sign of life. The earlier of the two times is not compared.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
@@ -106,8 +106,12 @@ def are_states_equal(first_state: DriveState, second_state: DriveState, drive: D
             for state in (first_state, second_state)
         )
     numbers = [(first_state[i], second_state[i]) for i in range(1, 5)]
-    are_equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
-    return are_equal and first_state[0] == second_state[0] and first_state[5:] == second_state[5:]
+    are_numbers_equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
+    return (
+        are_numbers_equal
+        and first_state[0] == second_state[0]
+        and first_state[5:] == second_state[5:]
+    )
 
 
 def random_targets(random_source: random.Random) -> Iterator[DriveTarget]:
@@ -129,12 +133,12 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
     for _, target in zip(range(TICKS_PER_SEED), random_targets(random_source), strict=False):
         wired_drives.begin_tick()
         for _ in range(random_source.randrange(4)):
-            known_frames = [*heard, *reply_to_open_request(drive, state)]
-            is_known_frame = random_source.random() < 0.7
+            valid_frames = [*heard, *reply_to_open_request(drive, state)]
+            is_valid_frame = random_source.random() < 0.7
             frame = (
-                random_source.choice(known_frames)._replace(t_ns=t_ns)
-                if is_known_frame
-                else random_frame(random_source, known_frames, t_ns)
+                random_source.choice(valid_frames)._replace(t_ns=t_ns)
+                if is_valid_frame
+                else random_frame(random_source, valid_frames, t_ns)
             )
             state = drive.receive(state, frame)
             wired_drives.receive([frame])

@@ -78,7 +78,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     wired_drives, message_counts = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
     for i, state in enumerate(bench.states):
         wired_drives.store_drive_state(i, state)
-    owners = {
+    sender_by_id = {
         message.can_id: (i, message)
         for i, drive in enumerate(bench.drives)
         for message in drive.cyclic_messages.feedback
@@ -91,10 +91,13 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
             wired_drives.receive([frame])
             # A reply to a register request has the same identifier as a feedback frame, but another
             # length.
-            if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
+            if (
+                frame.can_id in sender_by_id
+                and len(frame.data) == sender_by_id[frame.can_id][1].length
+            ):
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in values_read_by_controller(
-                    wired_drives, owners[frame.can_id][1], owners[frame.can_id][0]
+                    wired_drives, sender_by_id[frame.can_id][1], sender_by_id[frame.can_id][0]
                 ).items():
                     assert decoded_signals[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     message_counts[name] += 1

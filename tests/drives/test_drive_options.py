@@ -146,9 +146,9 @@ def test_every_option_that_a_drive_reads_is_declared() -> None:
     # The options for drive modes are options of ``handctl jog``. A hand file must not contain
     # options of ``handctl jog``.
     files = [path for path in folder.glob("*/*.py") if path.name != "modes.py"]
-    read = {
+    read_options = {
         key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())
     }
     declared_options = {key for entry in PROTOCOL_ENTRIES.values() for key in entry.options}
-    assert read <= declared_options
-    assert len(read) > 10
+    assert read_options <= declared_options
+    assert len(read_options) > 10

@@ -63,9 +63,9 @@ def frames_of_all_kinds(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[
 
     Frames with more than 8 bytes are CAN FD frames.
     """
-    chance = random.Random(seed)
-    for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
-        data = chance.randbytes(64)
+    random_source = random.Random(seed)
+    for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, random_source))]:
+        data = random_source.randbytes(64)
         for length in PAYLOAD_LENGTHS:
             yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
 
@@ -73,7 +73,8 @@ def frames_of_all_kinds(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[
 def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive.
 
-    The enabled state comes from a run of the drives on the bench.
+    The enabled state is the present state of the drive on the bench. The ready state differs from
+    it only in the drive phase.
     """
     ready_state = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial_state(), ready_state, bench.states[0]]

@@ -131,9 +131,9 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    For four CubeMars drives, handctl printed 20 lines: five cautions for each drive. Now drives
-    with the same caution share one line. One of the five cautions was only a hint about the
-    temperature.
+    For four CubeMars drives, handctl printed 20 lines: five cautions for each drive. The expected
+    output has one line for all drives with the same caution. One of the five cautions was only a
+    hint about the temperature.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

@@ -113,7 +113,7 @@ class Ads131m04Chip:
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     registers: dict[int, int] = field(default_factory=lambda: dict(RESET_VALUES))
     answer: int | None = None
-    new_data_channels: int = 0xF
+    new_data_mask: int = 0xF
     corrupt_reply: Callable[[bytes], bytes] = bytes
     """Function that changes each reply of the chip on its way to the firmware, to simulate faults of transmission."""
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
@@ -121,7 +121,7 @@ class Ads131m04Chip:
 
     def transfer_frame(self, sent_frame: bytes) -> bytes:
         """Receive a frame of 18 bytes and return the reply of the chip, as in an SPI transfer."""
-        status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_data_channels
+        status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_data_mask
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
         data += b"".join((count & 0xFFFFFF).to_bytes(3) for count in self.counts)
@@ -246,13 +246,13 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
     With the DBC file, cantools decodes the right tensions and the right counter from the frames of
     the firmware.
     """
-    chance = random.Random(seed)
+    random_source = random.Random(seed)
     database: Any = cantools.database.load_file(SENSOR_NODE_DBC)
-    channels = chance.randint(1, CHANNELS_MAX)
+    channels = random_source.randint(1, CHANNELS_MAX)
     bench = FirmwareBench(firmware_library, channels)
     for _ in range(20):
-        tensions = [chance.uniform(-5.5, 249.0) for _ in range(channels)]
-        counter = chance.randrange(256)
+        tensions = [random_source.uniform(-5.5, 249.0) for _ in range(channels)]
+        counter = random_source.randrange(256)
         bench.set_cell_tensions(tensions)
         answers = bench.receive(SYNC_ID, bytes((counter,)))
         assert [can_id for can_id, _ in answers] == [BASE_ID + g for g in range(-(-channels // 5))]
@@ -323,10 +323,10 @@ def test_an_adc_without_answer_is_at_the_rail_and_comes_back(
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_flipped_bit_is_no_tension(firmware_library: Any, seed: int) -> None:
-    chance = random.Random(seed)
+    random_source = random.Random(seed)
     bench = FirmwareBench(firmware_library, 4)
-    bench.set_cell_tensions([chance.uniform(0.0, 200.0) for _ in range(4)])
-    byte_index, bit = chance.randrange(17), chance.randrange(8)
+    bench.set_cell_tensions([random_source.uniform(0.0, 200.0) for _ in range(4)])
+    byte_index, bit = random_source.randrange(17), random_source.randrange(8)
     bench.chips[0].corrupt_reply = lambda data: bytes(
         b ^ (1 << bit if i == byte_index else 0) for i, b in enumerate(data)
     )
@@ -368,14 +368,14 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([20.0] * 4)
     valid_tension_code = tension_code(20.0)
-    bench.chips[0].new_data_channels = 0b1101
+    bench.chips[0].new_data_mask = 0b1101
     assert [bench.tension_codes()[1] for _ in range(4)] == [
         valid_tension_code,
         valid_tension_code,
         RAIL_CODE,
         RAIL_CODE,
     ]
-    bench.chips[0].new_data_channels = 0xF
+    bench.chips[0].new_data_mask = 0xF
     assert bench.tension_codes() == [valid_tension_code] * 4
 
 

@@ -146,11 +146,15 @@ def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -
 def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: DrivePhase) -> None:
     if phase == DrivePhase.ENABLED:
         bench.run_until_phase(DriveTarget.ENABLE, phase)
-    chance, drive, known_state = random.Random(7), bench.drives[0], bench.states[0]
+    random_source, drive, known_state = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
         for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
             frame = Frame(
-                can_id, chance.randbytes(length), FDF if length > 8 else 0, 0, bench.k * 2_000_000
+                can_id,
+                random_source.randbytes(length),
+                FDF if length > 8 else 0,
+                0,
+                bench.k * 2_000_000,
             )
             state_after = drive.receive(known_state, frame)
             if can_id not in drive.node_ids:
@@ -168,11 +172,13 @@ def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: D
 
 
 def test_simulated_nodes_survive_any_bytes(bench: ProtocolBench) -> None:
-    chance = random.Random(8)
+    random_source = random.Random(8)
     for can_id in range(0x800):
         for length in (0, 1, 3, 4, 8, 64):
             flags = FDF if length > 8 else 0
-            bench.simulated_hand.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
+            bench.simulated_hand.world.receive(
+                Frame(can_id, random_source.randbytes(length), flags)
+            )  # type: ignore[arg-type]
         bench.simulated_hand.world.receive(Frame(can_id | REMOTE_FLAG, b""))  # type: ignore[arg-type]
     bench.simulated_hand.world.advance(bench.simulated_hand.world.t_ns + 100_000_000)
 

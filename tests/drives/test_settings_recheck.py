@@ -74,8 +74,8 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     """A reply that contains a register is not decoded as feedback.
 
-    The first byte of a reply with a register can equal the first byte of the feedback of an enabled
-    motor.
+    The first byte alone does not distinguish a reply that contains a register from the feedback of
+    an enabled motor.
     """
     drive, state = enabled_mit_drive(node_id)
     state, requests = run_drive_with_registers(drive, state, 2001, CORRECT_REGISTERS)

@@ -1,8 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
-On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus without
-such a request, one drive object of the host sends a SYNC frame for all drives. On each bus, one
-drive object also sends the heartbeat of the host.
+On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus where no
+request to a sensor node is a SYNC frame, one drive object of the host sends SYNC for all drives. On
+each bus, one drive object also sends the heartbeat of the host.
 """
 
 import tomllib

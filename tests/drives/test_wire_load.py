@@ -22,7 +22,7 @@ PERIOD_NS = 4_000_000
 def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the time per tick [s] that frames are planned to occupy each bus.
 
-    The planned time includes the frames that nodes send by a timer.
+    This time includes the frames that a node sends at its own rate, such as heartbeats.
     """
     return [
         load.load_at_rate(1e9 / period_ns) * period_ns * 1e-9

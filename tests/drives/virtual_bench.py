@@ -24,9 +24,9 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that serves a host as its bus and as its clock.
+    """Bench with a simulated drive. The host uses the bench both as its bus and as its clock.
 
-    When the host waits for a tick, the time of the drive advances.
+    When the host waits for a tick, the virtual time of the drive advances.
     """
 
     name = "bench"

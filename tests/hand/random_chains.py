@@ -27,9 +27,9 @@ def build_random_hand_tree(seed: int) -> Hand:
 def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None = None) -> Hand:
     """Return a hand of random digits that have one tendon per joint.
 
-    ``joint_counts`` has the number of links of each digit. Without ``joint_counts``, the hand has a digit of 1
-    to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits of the random hand are
-    mounted on other digits.
+    ``joint_counts`` contains the number of links of each digit. Without ``joint_counts``, the hand
+    has two digits: the first has 1 to 8 links, the second 1 to 7 links. If ``rng`` is given, some
+    digits of the random hand are mounted on other digits.
     """
     is_mounted = rng
     rng = np.random.default_rng(seed)

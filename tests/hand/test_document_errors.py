@@ -21,7 +21,7 @@ class ExampleMoveStep(Document):
 
 
 class ExampleHoldStep(Document):
-    """Step of an example plan: a hold with a tension, and an optional spare move."""
+    """Step of an example plan: hold with a tension. The step can contain a spare step of the kind *move*."""
 
     kind: Literal["hold"]
     tension_N: float

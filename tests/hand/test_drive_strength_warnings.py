@@ -54,8 +54,8 @@ def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
     """`config check` warns that a runaway drive of a jamia hand could break its tendon.
 
     A motor of a jamia hand can pull with 250 N or more. If the drive of the motor runs away, the
-    momentum of the rotor raises the tension to 500 N or more. With the safety factor 1.5, this
-    tension needs a breaking force of 750 N, but the tendon breaks at 620 N.
+    momentum of the rotor raises the tension to 500 N or more. At a tension of 500 N, the safety
+    factor 1.5 requires a breaking force of 750 N, but the tendon breaks at 620 N.
     """
     assert main(["config", "check", "--hand", hand_name]) == 0
     warning_lines = [

@@ -35,7 +35,7 @@ def arrays_agree(computed, reference):
     )
 
 
-def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
+def pinocchio_chain(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     """Build a digit in pinocchio as a chain of hinges and prismatic joints, without the URDF of the digit."""
     model, parent = pinocchio.Model(), 0
     placement = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
@@ -68,7 +68,7 @@ def joint_rotation(digit: DigitModel, link_index: int) -> np.ndarray:
 def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity_m_s2):
     for digit in digits:
         digit = digit.with_gravity(gravity_m_s2)
-        model = pinocchio_by_hand(digit, gravity_m_s2)
+        model = pinocchio_chain(digit, gravity_m_s2)
         data = model.createData()
         for q, dq, ddq in random_motions(rng, digit.joint_count):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -289,8 +289,7 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 def test_known_numbers_of_the_paper_s_finger():
     """The weight torque and the inertia at joint 1 of a finger equal separately computed values.
 
-    The compared weight torque is that of a straight finger. The compared inertia is that of a bent
-    finger.
+    The weight torque is compared for a straight finger, and the inertia for a bent finger.
     """
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)

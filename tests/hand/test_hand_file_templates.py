@@ -34,7 +34,7 @@ Existing calibrations and logs refer to the identity of a hand.
 """
 MAX_FILE_LINES = 120
 """Largest number of lines of a packaged hand file."""
-MAX_FILE_LINES_BY_HAND = {"orca_like": 175}
+MAX_FILE_LINES_BY_HAND_NAME = {"orca_like": 175}
 """Largest number of lines of larger packaged hand files. ``orca_like`` has 17 joints and three kinds of digits."""
 
 
@@ -60,7 +60,7 @@ def test_the_packaged_hands_keep_their_identity(hand_name: str) -> None:
 def test_a_packaged_file_is_short(hand_name: str) -> None:
     assert len(
         (PACKAGED_HANDS_FOLDER / f"{hand_name}.toml").read_text("utf-8").splitlines()
-    ) < MAX_FILE_LINES_BY_HAND.get(hand_name, MAX_FILE_LINES)
+    ) < MAX_FILE_LINES_BY_HAND_NAME.get(hand_name, MAX_FILE_LINES)
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())

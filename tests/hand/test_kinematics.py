@@ -107,7 +107,7 @@ def test_jacobians_are_derivatives(digits, rng):
             ]
             assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-10)
             for link in range(digit.joint_count):
-                middle_result = [
+                middle_slope = [
                     sum(
                         sign * joint_points(digit, q + sign * s)[link : link + 2].mean(axis=0)
                         for sign in (1, -1)
@@ -116,7 +116,7 @@ def test_jacobians_are_derivatives(digits, rng):
                     for s in steps
                 ]
                 jacobian = point_jacobian(digit, q, link, digit.lengths[link] / 2)
-                assert np.allclose(jacobian, np.transpose(middle_result), atol=1e-10)
+                assert np.allclose(jacobian, np.transpose(middle_slope), atol=1e-10)
 
 
 def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
@@ -227,8 +227,8 @@ def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
     )
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
         _, distance = inverse_kinematics_coupled(digit, target)
-        nearest = np.linalg.norm(curve - target, axis=1).min()
-        assert nearest - 1e-6 < distance < nearest + 1e-12
+        nearest_distance = np.linalg.norm(curve - target, axis=1).min()
+        assert nearest_distance - 1e-6 < distance < nearest_distance + 1e-12
 
 
 def test_coordinate_limits_respect_the_tightest_joint():

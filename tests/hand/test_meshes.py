@@ -368,8 +368,12 @@ def test_other_libraries_read_the_urdf_with_its_meshes(mesh_folder: Path) -> Non
     path = str(mesh_folder / "out" / "hand.urdf")
     model = pinocchio.buildModelFromUrdf(path)
     kind = pinocchio.GeometryType.VISUAL
-    visual = pinocchio.buildGeomFromUrdf(model, path, kind, package_dirs=[str(mesh_folder / "out")])
-    meshes = [file for shape in visual.geometryObjects if (file := Path(shape.meshPath)).suffix]
+    visual_model = pinocchio.buildGeomFromUrdf(
+        model, path, kind, package_dirs=[str(mesh_folder / "out")]
+    )
+    meshes = [
+        file for shape in visual_model.geometryObjects if (file := Path(shape.meshPath)).suffix
+    ]
     assert len(meshes) == len(meshes_of_hand(hand))
     assert all(mesh.is_file() for mesh in meshes)
 

@@ -41,7 +41,7 @@ from tests.hand.test_dynamics import (
     RELATIVE_TOLERANCE,
     arrays_agree,
     inverse_dynamics_of_hand,
-    pinocchio_by_hand,
+    pinocchio_chain,
     random_motions,
 )
 
@@ -71,7 +71,7 @@ def test_random_hands_have_all_counts_of_links():
 def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits, rng):
     hand, digits = random_hand_and_digits
     for digit in digits:
-        model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
+        model = pinocchio_chain(digit, hand.mount.gravity_m_s2)
         tip = model.addFrame(
             pinocchio.Frame(
                 "tip",
@@ -200,7 +200,7 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms in the log are computed only from the text of the hand file.
 
-    Combined along each digit, the transforms in the log equal those of the hand model.
+    For each digit, the product of the transforms in the log equals the pose in the hand model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
@@ -239,12 +239,12 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
         side = forward_kinematics(digit, q).rotation[:, 1]
         assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
         for link in range(digit.joint_count):
-            middle_result = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
+            middle_jacobian = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
             normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
             lever = rigid_body.tip_levers(
                 digit.table, digit.parent, q, link, 0.5 * digit.lengths[link]
             )
-            assert np.allclose(lever, normal @ middle_result, atol=1e-14)
+            assert np.allclose(lever, normal @ middle_jacobian, atol=1e-14)
 
 
 @pytest.fixture(

@@ -36,17 +36,17 @@ def hand_with_varying_arms(
     for tendon in content["tendon"]:
         for joint, arm in tendon["moment_arm_m"].items():
             low, high = hand.joint_limits[:, hand.joints.index(joint)].tolist()
-            middle_result = (low + high) / 2.0
+            middle_angle = (low + high) / 2.0
             half_range = (high - low) / 2.0
             if polynomial_kind == "polynomial":
                 slope = arm * arm_variation / half_range
                 tendon["moment_arm_m"][joint] = {
-                    "polynomial_m": [arm - slope * middle_result, slope]
+                    "polynomial_m": [arm - slope * middle_angle, slope]
                 }
             else:
                 angle = np.linspace(low, high, 13)
                 values = arm * (
-                    1.0 + arm_variation * np.sin(0.5 * np.pi * (angle - middle_result) / half_range)
+                    1.0 + arm_variation * np.sin(0.5 * np.pi * (angle - middle_angle) / half_range)
                 )
                 tendon["moment_arm_m"][joint] = {
                     "angle_deg": np.degrees(angle).tolist(),

@@ -61,9 +61,9 @@ class GeneratedRunLog:
 
 
 def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record whose values are zero, with one row per control period.
+    """Create a record of a simulator's true values, all zero. The record has one row per control period.
 
-    Two rows precede tick 0 of the run, and two rows follow the last tick of the run.
+    The record begins two rows before tick 0 of the run, and ends two rows after the last tick.
     """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]

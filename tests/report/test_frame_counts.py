@@ -36,13 +36,13 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
     return tuple(frame_counts(SimpleNamespace(ticks=read), JAMIA_HAND))  # type: ignore[arg-type]
 
 
-def ticks_without_frame(
+def remove_tension_frame(
     golden_ticks: list[TickRecord], tick_index: int
 ) -> tuple[list[TickRecord], object]:
     """Remove the first load-cell frame of one tick. Return the changed ticks of the log and the removed frame."""
-    first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
+    first_tension_id = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[tick_index].tick_in
-    [removed_frame] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
+    [removed_frame] = [frame for frame in entry.frames if frame.can_id == first_tension_id][:1]
     remaining_frames = tuple(frame for frame in entry.frames if frame != removed_frame)
     changed_tick = golden_ticks[tick_index]._replace(
         tick_in=entry._replace(frames=remaining_frames)
@@ -60,12 +60,12 @@ def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[T
 
 def test_a_frame_that_never_comes_is_lost(golden_ticks: list[TickRecord]) -> None:
     for tick_index in (300, 310, 320):
-        golden_ticks, _ = ticks_without_frame(golden_ticks, tick_index)
+        golden_ticks, _ = remove_tension_frame(golden_ticks, tick_index)
     assert count_frames(golden_ticks) == (0, 3, 0)
 
 
 def test_a_frame_of_the_tick_before_is_late(golden_ticks: list[TickRecord]) -> None:
-    golden_ticks, frame = ticks_without_frame(golden_ticks, 300)
+    golden_ticks, frame = remove_tension_frame(golden_ticks, 300)
     entry = golden_ticks[301].tick_in
     golden_ticks[301] = golden_ticks[301]._replace(
         tick_in=entry._replace(frames=(frame, *entry.frames))

@@ -40,14 +40,14 @@ def log_and_truth_of_lift(
         values=np.column_stack([truth.values, truth.values[:, 0]]),
         columns=(*truth.columns, "support"),
     )
-    fallen_fraction = np.interp(
+    descent_fraction = np.interp(
         np.arange(TICK_COUNT), [SINK_START_TICK, SINK_END_TICK - 1], [0.0, 1.0]
     )
-    set_truth_column(truth, "support", table_descent_m * fallen_fraction)
+    set_truth_column(truth, "support", table_descent_m * descent_fraction)
     set_truth_column(
         truth,
         "object/z",
-        -object_fall_m * fallen_fraction - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK),
+        -object_fall_m * descent_fraction - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK),
     )  # the object falls when the hand opens
     set_truth_column(
         truth, "object/x", 0.05 * (np.arange(TICK_COUNT) < 150)

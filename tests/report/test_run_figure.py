@@ -59,11 +59,11 @@ def test_labels_of_axes_are_inside_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: axis numbers such as 12.5 pushed the label "tendon tension" out of the picture."""
-    drawn = []
+    collected_figures = []
 
     def save_and_record_figure(figure: Figure, path: Path) -> None:
         save_figure(figure, path)
-        drawn.append(figure)
+        collected_figures.append(figure)
 
     monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_record_figure)
     log = generate_run_log("jamia", True)
@@ -73,7 +73,7 @@ def test_labels_of_axes_are_inside_the_figure(
     log.fields["tension_sigma"][:] = 0.01
     log.fields["q"][:] = log.fields["q_goal"][:] = np.linspace(0.0, 0.7, 120)[:, None]
     draw_run(tmp_path / "x.png", log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
-    labels = [axes.yaxis.label for axes in drawn[0].axes if axes.get_ylabel()]
+    labels = [axes.yaxis.label for axes in collected_figures[0].axes if axes.get_ylabel()]
     assert len(labels) == 4
     assert min(label.get_window_extent().x0 for label in labels) >= 0.0
 
@@ -129,8 +129,9 @@ def test_every_unit_of_the_digits_is_named(
 ) -> None:
     """Reproduce a defect: the axis for the joint angle of a finger had no label.
 
-    In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had a
-    label. The label contained the unit mm, so the angle of the finger seemed to be in mm, too.
+    In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had
+    a label. Because this label contained the unit mm, readers could think that the angle of the
+    finger was also in mm.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})

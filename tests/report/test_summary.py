@@ -105,11 +105,11 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA_HAND.joints[joints]:
-        motion = np.full(200, 0.49)
-        motion[100:120] = 0.2  # in these ticks, the controller detects contact
-        motion[120:140] = 0.1  # in these ticks, only the true values show contact
-        motion[140:160] = 0.0  # in these ticks, the hand is not active
-        set_truth_column(truth, f"q/{joint}", motion)
+        true_angles = np.full(200, 0.49)
+        true_angles[100:120] = 0.2  # in these ticks, the controller detects contact
+        true_angles[120:140] = 0.1  # in these ticks, only the true values show contact
+        true_angles[140:160] = 0.0  # in these ticks, the hand is not active
+        set_truth_column(truth, f"q/{joint}", true_angles)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
     force[120:140] = 0.2

@@ -111,11 +111,11 @@ def test_the_header_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("start_ns", "end_ns", "expected_rows"),
+    ("start_row", "end_row", "expected_rows"),
     [(0, 99, range(100)), (3, 5, range(3, 6)), (-9, 2, range(3))],
 )
 def test_a_copy_has_the_rows_between_two_times(
-    tmp_path: Path, start_ns: int, end_ns: int, expected_rows: range
+    tmp_path: Path, start_row: int, end_row: int, expected_rows: range
 ) -> None:
     """Reproduce a defect: each run copied and read all truth rows since the start of the simulator.
 
@@ -123,19 +123,25 @@ def test_a_copy_has_the_rows_between_two_times(
     """
     truth = zero_truth_record(JAMIA_HAND, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
-    whole_truth = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
-    write_truth(tmp_path / "whole", whole_truth)
+    complete_truth = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
+    write_truth(tmp_path / "whole", complete_truth)
     with (tmp_path / "whole").open("ab") as file:
         file.write(b"an incomplete row")
-    first_ns, step = int(whole_truth.t_ns[0]), int(whole_truth.t_ns[1] - whole_truth.t_ns[0])
+    first_ns, step = (
+        int(complete_truth.t_ns[0]),
+        int(complete_truth.t_ns[1] - complete_truth.t_ns[0]),
+    )
     copied = copy_truth(
-        tmp_path / "whole", tmp_path / "part", first_ns + step * start_ns, first_ns + step * end_ns
+        tmp_path / "whole",
+        tmp_path / "part",
+        first_ns + step * start_row,
+        first_ns + step * end_row,
     )
     assert copied == len(expected_rows)
     copied_truth = read_truth(tmp_path / "part")
-    assert copied_truth.columns == whole_truth.columns
+    assert copied_truth.columns == complete_truth.columns
     np.testing.assert_array_equal(
-        copied_truth.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
+        copied_truth.t_ns, complete_truth.t_ns[expected_rows.start : expected_rows.stop]
     )
     np.testing.assert_array_equal(
         copied_truth.values, values[expected_rows.start : expected_rows.stop]

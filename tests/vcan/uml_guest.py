@@ -229,11 +229,11 @@ def _memory_folder() -> str:
     The folder /dev/shm of a container often has only 64 MB, which is too small for the guest
     system.
     """
-    shared_path = Path("/dev/shm")
-    is_large_enough = shared_path.is_dir() and shutil.disk_usage(shared_path).free > MEMORY_BYTES
+    memory_folder = Path("/dev/shm")
+    is_large_enough = memory_folder.is_dir() and shutil.disk_usage(memory_folder).free > MEMORY_BYTES
     return (
-        str(shared_path)
-        if is_large_enough and not os.statvfs(shared_path).f_flag & os.ST_NOEXEC
+        str(memory_folder)
+        if is_large_enough and not os.statvfs(memory_folder).f_flag & os.ST_NOEXEC
         else tempfile.gettempdir()
     )
 

@@ -40,7 +40,8 @@ def main() -> None:
 def _time_first_picture(data_received: threading.Event) -> None:
     """Measure the time until the viewer of the present process has drawn a picture with data.
 
-    Print this time [s], the CPU times [s] and the size of the picture [bytes], and close the viewer.
+    Print the measured time [s], the CPU times of handctl and of the viewer [s], and the size of the
+    picture [bytes]. Then close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)

@@ -126,7 +126,7 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
         browse_log(damaged_log, run, ["--headless"], vulkan_environment, scan),
     ):
         raise AssertionError("it was shown")
-    assert not any("--headless" in command_line_of(child) for child in psutil.Process().children())
+    assert not any("--headless" in command_line(child) for child in psutil.Process().children())
 
 
 def test_a_viewer_that_is_closed_leaves_no_files_behind(
@@ -139,7 +139,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def command_line_of(child_process: psutil.Process) -> list[str]:
+def command_line(child_process: psutil.Process) -> list[str]:
     """Return the command line of a child process, or an empty list if the process has ended.
 
     Earlier tests can leave processes that have ended but still exist as zombies.

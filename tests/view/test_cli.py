@@ -32,9 +32,11 @@ def test_save_writes_a_recording_and_reports_it(
 def test_a_cut_log_is_shown_with_a_warning(
     jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cut_log_path = tmp_path / "cut.mcap"
-    cut_log_path.write_bytes(jamia_log_path.read_bytes()[:300_000])
-    assert main(["view", str(cut_log_path), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
+    truncated_log_path = tmp_path / "cut.mcap"
+    truncated_log_path.write_bytes(jamia_log_path.read_bytes()[:300_000])
+    assert (
+        main(["view", str(truncated_log_path), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
+    )
     output = capsys.readouterr()
     assert "without an end mark" in json.loads(output.out)["warning"]
     assert len(output.err.splitlines()) == 1

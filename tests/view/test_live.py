@@ -63,25 +63,25 @@ def test_a_growing_log_arrives_in_the_viewer(
         tmp_path / "run.mcap",
         synthetic_run.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
-    follower = start_live_view(path, "--headless", "--window-size", "800x600")
+    live_view_process = start_live_view(path, "--headless", "--window-size", "800x600")
     recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticRunTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
             recorder.send_record(pack_tick_record(tick_in, out))
-        client = ViewerClient.connect(viewer_url(follower))
-        viewers = psutil.Process(follower.pid).children()
+        client = ViewerClient.connect(viewer_url(live_view_process))
+        viewers = psutil.Process(live_view_process.pid).children()
         assert wait_for_time(client, 1_000_000_000) >= 1_000_000_000
         assert latest_received_ns(client) <= ticks[199][0].t_ns
         for tick_in, out in ticks[200:]:
             recorder.send_record(pack_tick_record(tick_in, out))
         recorder.close("finished")
         assert wait_for_time(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
-        assert follower.wait(VIEWER_TIMEOUT_S) == 0
+        assert live_view_process.wait(VIEWER_TIMEOUT_S) == 0
         assert viewers[0].is_running()
         assert [view.reports for view in client.get_state().views if view.reports] == []
     finally:
-        follower.kill()
+        live_view_process.kill()
         for process in viewers:
             process.kill()
 
@@ -96,18 +96,18 @@ def test_live_view_ends_with_its_viewer(
         monkeypatch.setenv(name, value)
     path, run = tmp_path / "run.mcap", synthetic_run.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
-    follower = start_live_view(path, "--headless", "--window-size", "400x300")
+    live_view_process = start_live_view(path, "--headless", "--window-size", "400x300")
     try:
         for tick_in, out in synthetic_run.SyntheticRunTicks(run, 1.0):
             recorder.send_record(pack_tick_record(tick_in, out))
-        assert wait_for_time(ViewerClient.connect(viewer_url(follower)), 1) > 0, (
+        assert wait_for_time(ViewerClient.connect(viewer_url(live_view_process)), 1) > 0, (
             "the follower is connected to its viewer"
         )
-        (window,) = psutil.Process(follower.pid).children()
+        (window,) = psutil.Process(live_view_process.pid).children()
         window.kill()
-        assert follower.wait(VIEWER_TIMEOUT_S) == 0
+        assert live_view_process.wait(VIEWER_TIMEOUT_S) == 0
     finally:
-        follower.kill()
+        live_view_process.kill()
         recorder.close("finished")
 
 
@@ -133,17 +133,19 @@ def test_two_growing_logs_arrive_in_one_viewer(
     recorders = [
         Recorder.start(path, header) for path, header in zip(hand_by_log, headers, strict=True)
     ]
-    follower = subprocess.Popen([sys.executable, "-c", FOLLOW_TWO_LOGS, *map(str, hand_by_log)])
+    live_view_process = subprocess.Popen(
+        [sys.executable, "-c", FOLLOW_TWO_LOGS, *map(str, hand_by_log)]
+    )
     viewers: list[psutil.Process] = []
     try:
         for recorder, header in zip(recorders, headers, strict=True):
             for tick_in, out in synthetic_run.SyntheticRunTicks(header, 1.0):
                 recorder.send_record(pack_tick_record(tick_in, out))
-        client = ViewerClient.connect(viewer_url(follower))
-        viewers = psutil.Process(follower.pid).children()
+        client = ViewerClient.connect(viewer_url(live_view_process))
+        viewers = psutil.Process(live_view_process.pid).children()
         for recorder in recorders:
             recorder.close("finished")
-        assert follower.wait(VIEWER_TIMEOUT_S) == 0
+        assert live_view_process.wait(VIEWER_TIMEOUT_S) == 0
         recordings = client.get_state().recordings
         assert sorted(str(recording.store_id) for recording in recordings) == [
             "Recording:handctl_jamia:left",
@@ -152,17 +154,17 @@ def test_two_growing_logs_arrive_in_one_viewer(
         for recording in recordings:
             assert max(line.end for line in recording.timelines) >= 900_000_000
     finally:
-        follower.kill()
+        live_view_process.kill()
         for process in viewers:
             process.kill()
 
 
 def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
-    follower = start_live_view(tmp_path / "never.mcap", "--headless")
+    live_view_process = start_live_view(tmp_path / "never.mcap", "--headless")
     time.sleep(2.0)
-    assert follower.poll() is None
-    follower.terminate()
-    assert follower.wait(VIEWER_TIMEOUT_S) == 0
+    assert live_view_process.poll() is None
+    live_view_process.terminate()
+    assert live_view_process.wait(VIEWER_TIMEOUT_S) == 0
 
 
 def test_the_controllers_process_imports_nothing_of_the_viewer() -> None:

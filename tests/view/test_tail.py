@@ -93,11 +93,11 @@ def test_a_call_reads_no_record_again(
         tmp_path / "part.mcap",
     )
     offsets = list[int]()
-    read_range = LogFile.read_range
+    original_read_range = LogFile.read_range
 
     def read_and_record_offset(file: LogFile, offset: int, size: int) -> bytes:
         offsets.append(offset)
-        return read_range(file, offset, size)
+        return original_read_range(file, offset, size)
 
     monkeypatch.setattr(LogFile, "read_range", read_and_record_offset)
     path.write_bytes(whole_content[: len(whole_content) // 2])

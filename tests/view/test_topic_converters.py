@@ -253,21 +253,21 @@ def test_time_slices_do_not_change_the_recording(
 def test_a_log_that_ends_early_is_shown_up_to_there(
     log_fraction: float, jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    cut_log_path = tmp_path / "cut.mcap"
-    cut_log_path.write_bytes(
+    truncated_log_path = tmp_path / "cut.mcap"
+    truncated_log_path.write_bytes(
         jamia_log_path.read_bytes()[: int(log_fraction * jamia_log_path.stat().st_size)]
     )
-    with RunLog(cut_log_path) as cut_log:
+    with RunLog(truncated_log_path) as truncated_log:
         shown_entities = read_entities(
-            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+            rerun_conversion.chunks_of_run(truncated_log_path, run_info_of(truncated_log_path))
         )
         np.testing.assert_array_equal(
-            shown_entities["/controller/q"].table("Scalars:scalars"), cut_log.field("q")
+            shown_entities["/controller/q"].table("Scalars:scalars"), truncated_log.field("q")
         )
         assert (
             len(shown_entities["/loop/late"].times)
             == len(shown_entities["/bus/load"].times)
-            == len(cut_log)
+            == len(truncated_log)
             > 20
         )
 
@@ -278,14 +278,14 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     file, scan = LogFile(jamia_log_path), RecordScan()
     scan_records(file, scan)
     file.close()
-    cut_log_path = tmp_path / "cut.mcap"
-    cut_log_path.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
-    with RunLog(cut_log_path) as cut_log:
+    truncated_log_path = tmp_path / "cut.mcap"
+    truncated_log_path.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
+    with RunLog(truncated_log_path) as truncated_log:
         shown_entities = read_entities(
-            rerun_conversion.chunks_of_run(cut_log_path, run_info_of(cut_log_path))
+            rerun_conversion.chunks_of_run(truncated_log_path, run_info_of(truncated_log_path))
         )
         assert (
-            cut_log.t_ns[-1]
+            truncated_log.t_ns[-1]
             == shown_entities["/loop/late"].times[-1]
             == shown_entities["/bus/load"].times[-1]
         )

@@ -94,12 +94,10 @@ def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
     assert main([*arguments, "--json"]) == 0
     assert "/true/object" in entities_of_file(recording_path)
     capsys.readouterr()
-    late_truth = make_truth_record(SCENE_SHAPES)
+    truth = make_truth_record(SCENE_SHAPES)
     write_truth(
         path,
-        TruthRecord(
-            late_truth.header, late_truth.t_ns + 10**12, late_truth.values, late_truth.columns
-        ),
+        TruthRecord(truth.header, truth.t_ns + 10**12, truth.values, truth.columns),
     )
     assert main(arguments) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -380,9 +380,9 @@ class MotionModes:
         node = self._node
         return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
 
-    def _counts_per_s(self, per_minute: float) -> float:
+    def _counts_per_s(self, value_per_min: float) -> float:
         """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
-        return float(per_minute / 60.0 * self._node.counts)
+        return float(value_per_min / 60.0 * self._node.counts)
 
     def _speed_from_object(self, object_index: int) -> float:
         """Return the value of a velocity object, converted to count/s."""

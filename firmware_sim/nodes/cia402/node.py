@@ -234,9 +234,9 @@ class Cia402Node:
         state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
             nmt_command, self.nmt
         )
-        leaves_operational = self.nmt == OPERATIONAL_STATE != state
+        leaves_operational_state = self.nmt == OPERATIONAL_STATE != state
         self.nmt = state
-        if leaves_operational and self.power.state == ENABLED_STATE:
+        if leaves_operational_state and self.power.state == ENABLED_STATE:
             self._connection_lost(STOPPED_WHILE_ENABLED_ERROR)
         elif state == OPERATIONAL_STATE:
             self._send_event_pdos()

@@ -142,8 +142,8 @@ class NodePdos:
     def standard_rpdo(self) -> int:
         """Return the identifier of the RPDO that compiled kernels can handle.
 
-        If there is no such RPDO, return -1. The standard RPDO contains the control word and the
-        target torque, and is written at once.
+        The RPDO contains the control word and the target torque, and the node applies it at once,
+        without waiting for SYNC. If the node has no RPDO of this kind, return -1.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -159,9 +159,9 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        The standard TPDO contains status word, position and torque. The standard TPDO is sent after
-        SYNC, and is the only active TPDO. If the PDOs are arranged in another way, or if an RPDO
-        depends on SYNC, the returned identifier is -1.
+        Compiled kernels need a single active TPDO, which contains status word, position and torque,
+        and is sent after SYNC. No RPDO is allowed to depend on SYNC. If a TPDO or RPDO is
+        configured differently, the returned identifier is -1.
         """
         active = self._active_tpdos()
         waits_for_sync = any(

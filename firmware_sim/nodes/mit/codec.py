@@ -78,7 +78,7 @@ class MitStruct(ctypes.Structure):
 
 
 class MitCommand(NamedTuple):
-    """An MIT command at the output shaft.
+    """MIT command, with all values referred to the output shaft of the gear.
 
     Attributes:
         position: position setpoint [rad].

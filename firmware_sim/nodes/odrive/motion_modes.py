@@ -139,7 +139,8 @@ class MotionModes:
     def start(self, t_ns: int) -> None:
         """Enter the axis state closed loop.
 
-        All inputs start from the present position, zero velocity and zero torque.
+        The input position becomes the present position. The input velocity and the input torque
+        become zero.
         """
         node = self._node
         self.input_position = position_in_turns(node, node.motor.encoder())

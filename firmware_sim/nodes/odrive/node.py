@@ -248,8 +248,8 @@ class OdriveNode:
             self._endpoint_limit("torque_max", math.inf),
         )
         enabled = self.endpoints.get(self._numbers["enable_watchdog"])
-        seconds = self._endpoint_limit("watchdog_timeout", 0.0)
-        self.timeout_ns = int(seconds * 1e9) if enabled == b"\1" and 0.0 < seconds < 1e6 else 0
+        timeout_s = self._endpoint_limit("watchdog_timeout", 0.0)
+        self.timeout_ns = int(timeout_s * 1e9) if enabled == b"\1" and 0.0 < timeout_s < 1e6 else 0
 
     @property
     def mode(self) -> tuple[int, int]:

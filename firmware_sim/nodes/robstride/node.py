@@ -346,7 +346,7 @@ class RobstrideNode:
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
 
-        The fault value 0 stands for the watchdog, which sets no fault.
+        The watchdog calls this method with the fault value 0, which sets no fault bit.
         """
         self.motor.servo.release()
         self.mode = RESET_MODE

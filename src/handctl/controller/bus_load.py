@@ -227,7 +227,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     """Return a copy of a hand, in which the number of buses is the smallest that allows the given control rate [Hz].
 
-    The motors are distributed over the buses of the copy. The load cells stay on the first bus of
+    In the copy, the motors are distributed over all buses. The load cells stay on the first bus of
     the hand. All buses have the bit rates of the first bus. If a single motor already overloads a
     bus, the hand is returned unchanged.
     """

@@ -56,7 +56,8 @@ def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, 
     """Bring the digits to rest, or end the run, if the commanding client has been silent for too long.
 
     A running task continues until the run ends. Digits that hold a tension continue to hold the
-    tension until the run ends. A streamed target counts as a sign of life.
+    tension until the run ends. If the client streams targets, each target counts as a sign of life
+    of the client.
 
     Args:
         model: model of the hand.

@@ -36,7 +36,7 @@ MAX_CACHED_DESIGNS = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step that does not complete the design of the controller.
+    """Result of a design step after which the design of the controller is still incomplete, or has failed.
 
     Attributes:
         pending_gains: state of the design, or None if no stabilising gains exist for the requested
@@ -116,7 +116,7 @@ class DesignCache:
     def _design_missing_loops(
         self, model: HandModel, gains: Gains, loop_count: int
     ) -> list[Vector]:
-        """Design loops until the first ``loop_count`` loops are designed, and return all designed loops."""
+        """Design the missing ones of the first ``loop_count`` control loops, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
         if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest entry. The

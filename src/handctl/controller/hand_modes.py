@@ -203,8 +203,8 @@ def next_mode(
 
 def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
-    makes_torque = state.mode in TORQUE_MODES
-    if makes_torque and (
+    is_torque_mode = state.mode in TORQUE_MODES
+    if is_torque_mode and (
         inputs.operator_requests.is_cut_requested or inputs.action == SafetyAction.CUT
     ):
         return HandMode.CUT, _latched_faults(state)
@@ -314,7 +314,8 @@ def _wrong_amplifiers(state: ControllerState) -> list[str]:
 def _silent_sensors(state: ControllerState) -> list[str]:
     """Return the name of each amplifier whose set-up is not complete.
 
-    If every set-up is complete, return a single name for all sensors of the hand.
+    If the set-up of every amplifier is complete, return a list with one name that stands for all
+    sensors of the hand.
     """
     amplifiers = state.decisions.amplifiers
     unready_amplifiers = [
@@ -333,12 +334,16 @@ def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
     The tension filter needs the position of every motor.
     """
     drives = _named_drives(state, inputs)
-    tendons_without_cell = [
+    motors_without_position = [
         name
         for name, drive in drives
         if drive.phase == DrivePhase.READY and math.isnan(drive.position)
     ]
-    return [f"no position from {', '.join(tendons_without_cell)}"] if tendons_without_cell else []
+    return (
+        [f"no position from {', '.join(motors_without_position)}"]
+        if motors_without_position
+        else []
+    )
 
 
 def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:

@@ -48,7 +48,7 @@ During a steady hold, the margin of a setpoint above the tension is at most 2 N.
 
 
 def start_relaxation(model: HandModel, state: ControllerState) -> None:
-    """Write the state at the start of relaxing: setpoints, rates and envelope.
+    """Begin to relax the hand: set the tension setpoints, their rates, and the upper limits of the motor forces.
 
     Relaxing begins at the present tension. The setpoint of a held digit can be above the present
     tension. If relaxing began at the setpoint, the motor would continue to pull. Because the load
@@ -175,8 +175,8 @@ def present_relax_rate(state: ControllerState) -> float:
 def is_open_loop(state: ControllerState) -> bool:
     """Return True if the command of each motor is the envelope itself.
 
-    The envelope is an upper limit of the motor force that falls with time. A command that equals
-    the envelope does not depend on new measurements.
+    The envelope is an upper limit of the motor force that falls with time. If the command equals
+    this limit, measurements from later ticks do not change the command.
     """
     return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 

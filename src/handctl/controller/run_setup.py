@@ -385,7 +385,7 @@ def _setup_of_program(program: Program) -> AnyProgramSetup:
 
 
 def _program_of_setup(setup: AnyProgramSetup, hand: Hand) -> Program:
-    """Return the program that a set-up describes."""
+    """Return the motion program that a program set-up describes."""
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)

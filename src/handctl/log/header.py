@@ -105,7 +105,7 @@ class RunHeader:
     ) -> Self:
         """Return the run header that is stored in the records of a log.
 
-        The function checks all values that are used in calculations.
+        Each value that handctl uses in calculations is checked for its type and its range.
 
         Args:
             record: metadata record `handctl.run`. The values of a metadata record are JSON texts.

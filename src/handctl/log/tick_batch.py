@@ -193,8 +193,8 @@ class TickBatcher:
     def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time [ns] of the tick since the start of the run.
 
-        If the telemetry has a wrong shape, all values of the telemetry become NaN, and
-        `misshapen_ticks` counts the tick.
+        If the telemetry has a wrong shape, all values of the telemetry become NaN, and the number
+        `misshapen_ticks` increases by 1.
 
         Args:
             body: body of the record of a tick, see `handctl.log.tick_record`.

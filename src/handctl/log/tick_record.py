@@ -149,7 +149,7 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
-    """Return a mask (n, 56) of the data bytes from the ninth byte on, for n frames.
+    """Return the mask (n, 56) of the used payload bytes after the eighth byte, for n frames.
 
     The mask is True for bytes that belong to the payload of the frame, and False beyond the end of
     the payload.
@@ -310,7 +310,7 @@ class MessageLayout(NamedTuple):
 
 
 def message_layout(message: bytes) -> MessageLayout:
-    """Return the positions of the parts of a Tick message, without decoding these parts.
+    """Return the byte positions of the parts of an encoded Tick message.
 
     Raises:
         struct.error: the message ends early.
@@ -338,7 +338,7 @@ def message_layout(message: bytes) -> MessageLayout:
 def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames, and the bytes of `long_data` that these frames do not use.
 
-    The unused bytes belong to later frames.
+    The returned bytes of `long_data` belong to frames that come later in the record.
 
     Args:
         frame_starts: first FRAME_RECORD_BYTES bytes of each frame.

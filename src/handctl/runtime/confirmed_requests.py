@@ -201,17 +201,17 @@ def wait_until_drives_off(
                 command_word,
                 f"accepted, but the hand is still in mode {line['mode']}",
             )
-        new_status = None
-        last_line = time.monotonic()
-        while new_status is None:
-            if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
+        next_line = None
+        wait_start_s = time.monotonic()
+        while next_line is None:
+            if time.monotonic() > wait_start_s + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
                     watcher.name,
                     command_word,
                     f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
-            new_status = watcher.next_status_line(0.0) or _subscribe_again(watcher)
-        line = new_status
+            next_line = watcher.next_status_line(0.0) or _subscribe_again(watcher)
+        line = next_line
 
 
 def are_drives_off(line: StatusLine) -> bool:

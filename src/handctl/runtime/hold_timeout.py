@@ -1,8 +1,8 @@
 """Time limit for the safety reaction HOLD, in which a fault stops the motion of the hand.
 
 The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
-motion program does not advance. If the gains make a hand oscillate, the fault of a noisy encoder
-(N07) occurs. The fault N07 holds the hand during the whole oscillation. Without a limit, a run with
+motion program does not advance. If the gains make a hand oscillate, the controller reports fault
+N07 (noisy encoder), and holds the hand until the oscillation ends. Without a time limit, a run with
 an oscillation might never end.
 """
 

@@ -7,8 +7,8 @@ the loop concludes and records the tick. The same loop runs in real time and in 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
 numbers of the missed ticks. The next executed tick decides whether the gap in the tick numbers is a
 fault. Only this module of the project catches exceptions of every kind. After any error inside a
-tick, the loop disables the drives, and polls them until they report that they are disabled. When
-the drives are disabled, the loop raises the error again.
+tick, the loop disables the drives, and polls them until they report that they are disabled. After
+that, the loop raises the same error again.
 """
 
 import gc
@@ -34,7 +34,11 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface through which the control loop executes the rest of a tick. See ``controller.tick.TickInProgress``."""
+    """Interface of a tick that has begun, with one method for each remaining step.
+
+    The control loop calls ``decide``, ``command`` and ``conclude``, in this order. See
+    ``controller.tick.TickInProgress``.
+    """
 
     @property
     def state(self) -> T:
@@ -115,8 +119,8 @@ class LoopStats:
 class StopSignals:
     """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first of these signals relaxes and stops the hand. Each later signal cuts the torque of the
-    motors.
+    When the process receives its first signal, the controller relaxes the hand and ends the run.
+    Each later signal cuts the torque of the motors.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.

@@ -124,12 +124,14 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     """Return the constants that describe how the frames of each drive encode the values of its position loop.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
-    value that a frame can contain. A further constant is the force [N] that one count of the
-    feedback causes. The constant ``servo_moves`` of a drive is True if the drive itself changes the
-    commanded position between two commands, at the commanded velocity. If the commands of a drive
-    contain no kp and kd, the value of one count is 1. The feedback of a drive consists of its
-    position and its speed. A drive rounds its position and its speed to counts of the protocol. If
-    the counts of the encoder are coarser, the drive rounds the position to counts of the encoder.
+    value that a frame can contain. Another constant is the change of the motor force [N] that the
+    position loop computes if the measured position and speed change by one count each. The constant
+    ``servo_moves`` of a drive is True if the drive itself changes the commanded position between
+    two commands, at the commanded velocity. If the commands of a drive contain no kp and kd, the
+    value of one count is
+    1. The feedback of a drive consists of its position and its speed. A drive rounds its position
+    and its speed to counts of the protocol. If the counts of the encoder are coarser, the drive
+    rounds the position to counts of the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -175,7 +177,8 @@ def torque_resolution(drive: Drive) -> float:
     """Return the resolution of a drive's torque [N m at the spool].
 
     The resolution is the torque of one count in the feedback, or of one count in the command if
-    this count is larger. If the torque is a floating-point number, the result is 0.
+    this count is larger. If the drive sends and receives the torque as a floating-point number, the
+    result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [

@@ -35,8 +35,8 @@ def detect_unsolicited_replies(
 ) -> tuple[str, ...]:
     """Detect the unsolicited and the duplicate replies of a tick.
 
-    The function writes the kind of each node's duplicates into ``DUPLICATE_REPLIES``, see
-    ``_duplicate_kind``.
+    For each node with duplicate replies, the function writes a number into ``DUPLICATE_REPLIES``:
+    the kind of the duplicates, from ``_duplicate_kind``.
 
     Args:
         drives: drives of the hand.
@@ -49,9 +49,9 @@ def detect_unsolicited_replies(
         One phrase for each motor that has replied without a request.
     """
     duplicates = state.view("twice")
-    surplus_counts = state.view("surplus").tolist()
+    excess_reply_counts = state.view("surplus").tolist()
     signs = []
-    for n, count in enumerate(surplus_counts):
+    for n, count in enumerate(excess_reply_counts):
         # ``EXCESS_REPLY_COUNT`` contains the number of requests without a reply, plus 1. If a reply
         # arrives while the value of ``EXCESS_REPLY_COUNT`` is 1, there was no request for the
         # reply.

@@ -13,9 +13,7 @@ PRISMATIC_SUFFIX = ".pos_m"
 
 
 def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[str, ...]:
-    """Return the name of the element with the position of each joint, e.g.
-
-    ``index_j1.pos_rad``.
+    """Return the name of the vector element with the position of each joint, such as ``index_j1.pos_rad``.
 
     Args:
         joints: names of the joints, in order.

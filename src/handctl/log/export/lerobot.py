@@ -5,8 +5,8 @@ active, sampled at equal intervals of time. The files have the layout of LeRobot
 3.0. One file contains the frames of all episodes. Each episode has one video for each camera. The
 feature `observation.state` contains joint angles [rad], positions of prismatic joints [m] and
 estimated tensions [N]. The feature `action` contains commanded joint angles and tensions. While a
-digit holds a tension, its joints have no commanded angle. For the joints of a digit that holds a
-tension, `action` contains the estimated angles.
+digit holds a tension, its joints have no commanded angle. In this case, `action` contains the
+estimated angles of these joints.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
@@ -362,7 +362,7 @@ def _task_description(log: RunLog) -> str:
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of all frames. The features that `names` contains are vectors, and all others are scalars."""
+    """Return the table with one row per sampled frame. A feature in `names` is a vector, any other feature a scalar."""
     columns = {}
     for name, table in values.items():
         flat_values = pa.array(

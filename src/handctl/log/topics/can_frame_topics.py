@@ -123,11 +123,11 @@ class _DirectionTopics:
         remaining_data = memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
         data = frames.frames["data"].tobytes()
-        sequence = stamps.sequence.tolist()
-        log = stamps.log_times.tolist()
-        times = measured_ns.tolist()
-        # `rest` contains the payload bytes after the eighth byte of those frames that have not been
-        # encoded yet. Classical frames have at most eight payload bytes.
+        sequence_numbers = stamps.sequence.tolist()
+        log_times_ns = stamps.log_times.tolist()
+        publish_times_ns = measured_ns.tolist()
+        # `remaining_data` contains the payload bytes after the eighth byte of those frames that have
+        # not been encoded yet. Classical frames have at most eight payload bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             extra_bytes = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(
@@ -135,11 +135,20 @@ class _DirectionTopics:
             )
             remaining_data = remaining_data[extra_bytes:]
             if is_fd[index]:
-                message = encode_fd_frame(self._buses[bus[index]], times[index], can_id, payload)
+                message = encode_fd_frame(
+                    self._buses[bus[index]], publish_times_ns[index], can_id, payload
+                )
                 size = 22 + len(message)
                 channel = self._fd_channel
                 records.append(
-                    MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index])
+                    MESSAGE_STRUCT.pack(
+                        5,
+                        size,
+                        channel,
+                        sequence_numbers[index],
+                        log_times_ns[index],
+                        publish_times_ns[index],
+                    )
                     + message
                 )
         return _join_records(self._fd_channel, stamps.log_times[is_fd], records)

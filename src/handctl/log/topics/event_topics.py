@@ -83,7 +83,7 @@ def encode_parameter_event(
 
 
 def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
-    """Encode a message handctl_msgs/GraspPhase, Mode or Action. The message contains header, number and name."""
+    """Encode a value of an enumeration as message handctl_msgs/GraspPhase, Mode or Action: header, number and name."""
     writer = _stamped_writer(t_ns)
     writer.put_string("")
     writer.put_number("B", number)

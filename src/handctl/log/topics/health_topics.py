@@ -212,7 +212,7 @@ class HealthTopics:
             )
         ]
 
-    def _motor_statuses(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
+    def _motor_statuses(self, telemetry_row: NDArray[np.float64]) -> list[DiagnosticStatus]:
         """Return the diagnostic status of each motor."""
         statuses = []
         fields = (
@@ -222,7 +222,9 @@ class HealthTopics:
             "motor_temperature",
             "motor_age",
         )
-        values_of_field = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
+        values_of_field = {
+            name: telemetry_row[self._columns[name]] for name in (*fields, "drive_phase")
+        }
         for index, motor in enumerate(self._header.motors):
             number = values_of_field["drive_phase"][index]
             is_valid = number in set(DrivePhase)

@@ -1,9 +1,9 @@
 """Sync of a file to disk.
 
 The caller does not wait for the sync. On a busy machine, a sync can take so long that the pipe to
-the recorder becomes full. The recorder therefore forks a process that calls fdatasync. In the
-forked process, only the log file and two pipes are open. The forked process ends when the recorder
-ends.
+the recorder becomes full. For this reason, a process that the recorder has forked calls
+``fdatasync`` for the log file. In the forked process, only the log file and two pipes are open. The
+forked process ends when the recorder ends.
 """
 
 import itertools

@@ -127,12 +127,12 @@ class Recorder:
             if not any("ready" in note for note in self._messages):
                 errors = [str(note["error"]) for note in self._messages if "error" in note]
                 if not errors:
-                    socket_ends = (
+                    failure_text = (
                         "has ended at its start"
                         if self._ended
                         else f"has not started within {START_TIMEOUT_S:g} s"
                     )
-                    problem_text = f"the recorder process {socket_ends}"
+                    problem_text = f"the recorder process {failure_text}"
                     raise LogError(problem_text, str(self._path), "a computer with less other load")
                 raise LogError(
                     f"cannot record: {errors[0]}",

@@ -12,8 +12,8 @@ Kinds:
   ``restarted``: states reported by the CAN controller of the interface
 
 The states ``bus_off``, ``error_passive`` and ``enodev`` are lasting states. Every call of
-``take_events`` reports a lasting state again, until the state ends. The fault detectors count the
-ticks in which a lasting state is present.
+``take_events`` reports a lasting state again, until the state ends. A fault detector counts the
+ticks in which one of these states is reported.
 """
 
 import errno

@@ -183,8 +183,8 @@ class FrameStructs:
     def write(self, frames: Frames) -> NDArray[np.uint64]:
         """Write frames into the first structs.
 
-        If a frame is shorter than the payload of a struct, the remaining bytes of the payload are
-        set to zero.
+        The payload of a frame can be shorter than the data field of a struct. The unused bytes of
+        the data field are set to zero.
 
         Returns:
             (n,) number of bytes to send of each struct. This number is the size of ``can_frame`` or

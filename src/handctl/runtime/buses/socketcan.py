@@ -123,8 +123,9 @@ class SocketCanBus:
         """Convert the received datagrams to frames.
 
         Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
-        and no frame was lost before them. If all datagrams have these properties, the datagrams are
-        converted as one batch. In all other cases, each datagram is converted separately.
+        and no frame was lost before them. If the received datagrams have these properties, the
+        function converts all of them at once. Otherwise, the function converts each datagram
+        separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (

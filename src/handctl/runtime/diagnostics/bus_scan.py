@@ -116,7 +116,7 @@ def requests_without_answers() -> tuple[Frame, ...]:
 def _requests_of_round(
     round_index: int, seen_frames: list[Frame], omitted_frames: list[Frame]
 ) -> list[Frame]:
-    """Return the requests of all protocols for a round of the scan.
+    """Return the requests that the scan sends in a round to find drives of all protocols.
 
     A request that a drive with another protocol might execute as a command is left out, and
     appended to ``omitted_frames``.

@@ -135,8 +135,8 @@ class _JogExecution:
     def hold_command(self, state: DriveState) -> float:
         """Return the command that keeps the shaft still.
 
-        In position mode, the command is the last position. In the other modes, the command is zero
-        velocity or zero torque.
+        In position mode, the command is the last position. In velocity or torque mode, the command
+        is zero.
         """
         if not self._is_position_mode:
             return 0.0
