@@ -15,7 +15,7 @@ seeds of the measured trials differ from the seeds with which the LQR weights we
 ``--tune`` repeats the selection of the LQR weights. With the selected LQR weights, the control
 loops have hardly any stability margin. A second comparison uses the best LQR weights with
 sufficient stability margins. Stability margins are sufficient if they are at least 6 dB and 45
-degrees. Random hands with parameters close to the hand file must also have these margins.
+degrees, also for random hands whose parameters are close to the hand file.
 """
 
 import argparse

@@ -601,7 +601,7 @@ def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
 def _plate_position(
     grasp_object: GraspObject, normal: int, sign: float
 ) -> tuple[float, float, float]:
-    """Return the centre of a plate that touches the object on the side of an axis [m].
+    """Return the centre of a plate that is perpendicular to an axis and touches the object [m].
 
     Args:
         grasp_object: object of the scene.

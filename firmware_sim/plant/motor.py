@@ -115,7 +115,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, None without a power-stage fault."""
+        """Return the function that changes the torque command, None if the power stage has no fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter

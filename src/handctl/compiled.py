@@ -222,7 +222,8 @@ _CACHE_FOLDER = None if not NUMBA_INSTALLED or numba_config.DISABLE_JIT else _ca
 def square(value: float) -> float:
     """Return the square of a number, computed as the number times itself.
 
-    In interpreted code, the operator ``**`` would round differently.
+    The operator ``**`` is not used, because interpreted code and compiled code would round its
+    result differently.
     """
     return value * value
 

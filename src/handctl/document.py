@@ -111,8 +111,8 @@ def _without_tags(
 ) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the models of a union.
 
-    All parts of the resulting location exist in the content. If the error is a missing key, the
-    last part of the location is the missing key.
+    Each part of the returned location is a key or an index in the content of the file, with one
+    exception. If the error is a missing key, the last part of the location is the missing key.
     """
     path: list[str | int] = []
     for position, key_or_index in enumerate(key_location):
@@ -180,7 +180,8 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
     """Return True if pydantic uses the given name in error locations for a model of a union.
 
-    Pydantic names the model either by its tag or by its class.
+    In an error location, pydantic names a model of a union by the tag or by the class name of the
+    model.
     """
     tags = [get_args(field.annotation) for field in model.model_fields.values()]
     return name == model.__name__ or (name,) in tags

@@ -112,8 +112,8 @@ def _lengths_text(name: str) -> list[str]:
 def _check_general_position() -> list[ErrataItem]:
     """Check the formula of section 4 for the position of the fingertip, at random joint angles.
 
-    In section 4, the first coordinate is L1 cos q1 + L2 cos(q1 + q2) + .., and the second
-    coordinate is the same sum with sines.
+    Section 4 of the paper states the coordinates x and y of the fingertip. The formula for x is
+    L1 cos q1 + L2 cos(q1 + q2) + .., and the formula for y has sines in place of the cosines.
     """
     model = paper_digit("index")
     random = np.random.default_rng(1)
