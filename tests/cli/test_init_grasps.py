@@ -277,7 +277,7 @@ def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float
 
 
 def margin_of_tendons(hand: Hand, force: float, rate_hz: float, tendons: Iterable[str]) -> float:
-    """Return the smallest gain margin [dB] of the tendons' motion loops, with the gain ``motion.force_N`` = ``force``."""
+    """Return the smallest gain margin [dB] of the tendons' motion loops, with ``motion.force_N`` = ``force``."""
     model = HandModel.from_hand(hand, gains_with_force(force), rate_hz)
     return min(
         margins_of_loop(open_loop(model, hand.tendon_names.index(name), LoopKind.MOTION)).gain_db

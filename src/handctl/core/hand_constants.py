@@ -302,8 +302,8 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the probability of each assumed contact place on a digit, with a column per joint, (places, n).
 
-    All columns are equal. The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
-    torque on all joints, see ``posture``.
+    All columns are equal. The assumed contacts are a force at the middle of each link, a force at
+    the tip, and an equal torque on all joints, see ``posture``.
     """
     n = digit.joint_count
     probabilities = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))

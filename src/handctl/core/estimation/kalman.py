@@ -481,9 +481,9 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and correct the filter states of newly taut tendons.
 
     For a newly taut tendon, the function corrects either the stretch offset or the excursion, see
-    ``set_offset_of_newly_taut_tendon``. The regime of a tendon depends on three conditions: the tendon is slack, the digit is on its
-    open stop, or the digit is in contact. Return the forces of ``_resistance_and_pull_forces``,
-    computed with the new regimes.
+    ``set_offset_of_newly_taut_tendon``. The regime of a tendon depends on three conditions: the
+    tendon is slack, the digit is on its open stop, or the digit is in contact. Return the forces of
+    ``_resistance_and_pull_forces``, computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
     has_changed = False

@@ -156,8 +156,9 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
     The result has the shape (2 H + 2, J) for H assumed places of contact. A row belongs to one
     source of error, and contains the deviation of each joint angle that this source causes. The
-    covariance of two angles is the sum of the products of their deviations over all rows. The levers of the contact forces are computed at the joint angles of
-    the last estimate. Each tick is thus one step of a fixed-point iteration.
+    covariance of two angles is the sum of the products of their deviations over all rows. The
+    levers of the contact forces are computed at the joint angles of the last estimate. Each tick is
+    thus one step of a fixed-point iteration.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]

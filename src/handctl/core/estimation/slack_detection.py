@@ -56,9 +56,10 @@ def regime_evidence(
     """Return the evidence that the regime of a tendon has ended.
 
     For a slack tendon, the evidence is a number of points. The points increase while the load cell
-    indicates that the tendon is taut. For a taut tendon, the evidence is the number of ticks in a row in which the tendon seemed
-    to be slack. If the load-cell reading of a taut tendon is missing, the number of ticks is set to
-    0. If the load-cell reading of a slack tendon is missing, the points do not change.
+    indicates that the tendon is taut. For a taut tendon, the evidence is the number of ticks in a
+    row in which the tendon seemed to be slack. If the load-cell reading of a taut tendon is
+    missing, the number of ticks is set to 0. If the load-cell reading of a slack tendon is missing,
+    the points do not change.
 
     Args:
         regime: present regime of the tendon.
@@ -151,8 +152,8 @@ def set_offset_of_newly_taut_tendon(
     With the new value, the modelled tension equals the load-cell reading. In a digit with return
     springs or joint encoders, the springs or encoders determine the excursion, so the function sets
     the stretch offset. In a digit with neither return springs nor joint encoders, the length of the
-    tendon is known from commissioning, so the function sets the excursion. If the new excursion is outside the range of the
-    joints, the stretch offset is set instead of the excursion.
+    tendon is known from commissioning, so the function sets the excursion. If the new excursion is
+    outside the range of the joints, the stretch offset is set instead of the excursion.
 
     Args:
         x: state tables.

@@ -8,16 +8,17 @@ the angles of a free digit at which the modelled excursions e(q0) equal s.
 
 Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If all moment
 arms of a digit are constant, the offset of the linear relation is 0, and the tables with moment
-arms keep their values. The tables with moment arms depend only on the state block, and are evaluated before each use in a tick. A second computation of
-a tick from a stored state gives the same result, because the tables depend only on the state.
+arms keep their values. The tables with moment arms depend only on the state block, and are
+evaluated before each use in a tick. A second computation of a tick from a stored state gives the
+same result, because the tables depend only on the state.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
 the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
 angle of the wrist and from the tension. The travel of a tendon has a part that the wrist causes.
 ``carrier_excursion`` computes the part of the travel that the wrist causes. After this part is
-subtracted, the filter, the goals and the detectors treat the finger as if its base were at rest. The
-tendons of the wrist must balance the torque of the tendons that pass the wrist
+subtracted, the filter, the goals and the detectors treat the finger as if its base were at rest.
+The tendons of the wrist must balance the torque of the tendons that pass the wrist
 (``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
