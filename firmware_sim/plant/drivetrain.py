@@ -159,12 +159,12 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
             min_tension = local_tension
         elif local_tension > max_tension:
             max_tension = local_tension
-    loss = (
+    max_tension_change = (
         tension - min_tension
         if tension - min_tension > max_tension - tension
         else max_tension - tension
     )
-    tendon.slope = tendon.damping + _friction_per_speed(tendon, loss, tension * angle)
+    tendon.slope = tendon.damping + _friction_per_speed(tendon, max_tension_change, tension * angle)
 
 
 @kernel_helper

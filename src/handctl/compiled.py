@@ -173,11 +173,11 @@ def _cache_folder() -> Path | None:
 
     If the folder is not writable, return None.
     """
-    root = Path(
+    cache_root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
         or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     )
-    folder = root / "handctl" / f"kernels-{_source_hash()}"
+    folder = cache_root / "handctl" / f"kernels-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -244,7 +244,7 @@ def _generate_borrowed_array(
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat_array}")
     result = types.Array(flat_array.dtype, shape.count, "C")
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
             arrayobj as _arrayobj,
         )  # imported here, because only a compilation of kernels needs this module
@@ -264,7 +264,7 @@ def _generate_borrowed_array(
         return array._getvalue()
 
     tuple_of: Any = types.UniTuple
-    return result(flat_array, types.intp, tuple_of(types.intp, shape.count)), generate
+    return result(flat_array, types.intp, tuple_of(types.intp, shape.count)), generate_code
 
 
 def borrowed_array(

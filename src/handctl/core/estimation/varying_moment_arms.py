@@ -193,11 +193,11 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
     first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]
     count = c.digit_int[h.END_COORDINATE, d] - first_coordinate
     gram_matrix = np.zeros((count, count))
-    offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
+    excursion_offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
-            offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
+            excursion_offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
             c.tendon_joint_table[h.MOMENT_ARMS, n, j] = arm
         for k in range(count):
             reduced_arm = 0.0
@@ -236,9 +236,9 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
             c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint_table[
                 h.TORQUE_TO_TENSION, n, j
             ] = angle
-            c.joint[h.ANGLE_OFFSET, j] -= angle * offsets[n - tendons[0]]
+            c.joint[h.ANGLE_OFFSET, j] -= angle * excursion_offsets[n - tendons[0]]
     for n in range(tendons[0], tendons[1]):
-        c.tendon[h.EXCURSION_MODEL_OFFSET, n] = offsets[n - tendons[0]]
+        c.tendon[h.EXCURSION_MODEL_OFFSET, n] = excursion_offsets[n - tendons[0]]
         for j in range(joints[0], joints[1]):
             c.tendon[h.EXCURSION_MODEL_OFFSET, n] += (
                 c.tendon_joint_table[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]

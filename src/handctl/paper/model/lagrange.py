@@ -188,10 +188,11 @@ def _asymmetry_text(term: EquationTerm) -> str:
         for other_term in terms
         if other_term.id == term.mirror_id
     )
-    unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
+    states_with_unit_accelerations = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
     is_asymmetric = (
         relative_deviation(
-            term.readings[0].evaluate(unit_states), mirror_term.readings[0].evaluate(unit_states)
+            term.readings[0].evaluate(states_with_unit_accelerations),
+            mirror_term.readings[0].evaluate(states_with_unit_accelerations),
         )
         > RELATIVE_TOLERANCE
     )
