@@ -154,8 +154,8 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
     """
     telemetry = record.telemetry
     period_ns = int(record.t_ns[1] - record.t_ns[0])
-    true_tension = record.tension()
-    tension_before = record.tension(period_ns)
+    true_tension = record.true_tension()
+    tension_before = record.true_tension(period_ns)
     raw_tension = telemetry["tension_raw"]
     period = period_ns * 1e-9
     model = record.controller.model

@@ -2,8 +2,8 @@
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
 finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
-variants place the digits farther apart, and the trials with a variant use a scene in which the
-digits pass through the palm. All other properties of a variant are those of the packaged hand.
+variants have more distance between the digits. In the scene of the trials with a variant, the
+digits can pass through the palm. All other properties of a variant are those of the packaged hand.
 """
 
 from functools import cache

@@ -63,9 +63,9 @@ def misprinted_torque(
     """Return the joint torque from Eq. 10 to 12 of the source paper, including the misprints in these equations.
 
     The torques in Eq. 10 to 12 belong to absolute angles of the links. The function converts the
-    torques of the equations to joint torques, and adds the torques of springs and damping. The
-    conversion, the springs and the damping are not part of the paper. For a digit with fewer links
-    than in the paper, the terms of the missing links are left out.
+    torques of Eq. 10 to 12 to joint torques, and adds the torques of springs and damping. The paper
+    contains neither the conversion to joint torques, nor springs and damping. For a digit with
+    fewer links than in the paper, the terms of the missing links are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):

@@ -121,19 +121,19 @@ def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> L
     )
 
 
-def force_figures(record: TrialRecord) -> dict[str, float]:
+def force_figures(trial_record: TrialRecord) -> dict[str, float]:
     """Return the errors of the tension after the step up and after the step down, as means over the tendons.
 
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
-    tension = record.tension()
-    in_contact = record.expand_to_tendons(record.telemetry["contact"] > 0)
+    tension = trial_record.true_tension()
+    in_contact = trial_record.expand_to_tendons(trial_record.telemetry["contact"] > 0)
     rows: dict[str, list[float]] = {
         name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")
     }
     for phase, goal, change in (("up", HIGH_TENSION_N, 1.0), ("down", LOW_TENSION_N, -1.0)):
-        mask = record.phase == phase
-        t = record.times[mask] - record.times[mask].min(initial=np.inf)
+        mask = trial_record.phase == phase
+        t = trial_record.times[mask] - trial_record.times[mask].min(initial=np.inf)
         for i in np.flatnonzero(in_contact[mask].all(axis=0)) if mask.any() else ():
             error = tension[mask, i] - goal
             steady_error = error[t > HOLD_DURATION_S - STEADY_S]

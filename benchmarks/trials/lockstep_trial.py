@@ -103,25 +103,25 @@ class TrialRecord:
         """Return the time of each tick [s], as an array (ticks,)."""
         return self.t_ns / 1e9
 
-    def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
+    def true_values(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
         """Return the true values of the named quantities at the time ``delay_ns`` [ns] before each tick.
 
         The result is an array with one row for each tick and one column for each name.
         """
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
-    def tension(self, delay_ns: int = 0) -> FloatArray:
+    def true_tension(self, delay_ns: int = 0) -> FloatArray:
         """Return the true tension of each tendon [N], as an array (ticks, tendons)."""
-        return self.truth((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
+        return self.true_values((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
 
-    def q(self) -> FloatArray:
+    def true_joint_angles(self) -> FloatArray:
         """Return the true joint angles [rad], as an array (ticks, joints)."""
-        return self.truth(f"q/{name}" for name in self.hand.joints)
+        return self.true_values(f"q/{name}" for name in self.hand.joints)
 
     def contact_force(self) -> FloatArray:
         """Return the true contact force on each digit [N], as an array (ticks, digits)."""
         axes = [
-            self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names)
+            self.true_values(f"contact_force/{name}/{axis}" for name in self.hand.digit_names)
             for axis in "xyz"
         ]
         return np.sqrt(sum(axis**2 for axis in axes))

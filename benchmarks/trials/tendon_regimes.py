@@ -25,20 +25,20 @@ MaskArray = NDArray[np.bool_]
 
 def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
     """Return a mask (ticks, tendons) for each tendon regime. At each tick, a tendon is in at most one regime."""
-    tension = record.tension()
+    tension = record.true_tension()
     t = record.times
     is_touched = record.expand_to_tendons(record.contact_force() > TOUCH_FORCE_N)
     is_ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
     is_taut = tension > TAUT_TENSION_N
     contact_time = _time_since_rise(is_touched, t)
     is_reversing = _widened_mask(_reversal_mask(record), t, REVERSAL_HALF_WINDOW_S) & ~is_touched
-    hold = is_ready & is_taut & is_touched & (contact_time > SETTLING_TIME_S)
+    is_holding = is_ready & is_taut & is_touched & (contact_time > SETTLING_TIME_S)
     return {
         "free": is_ready & is_taut & ~is_touched & ~is_reversing,
         "reversal": is_ready & is_taut & is_reversing,
         "impact": is_ready & is_taut & is_touched & (contact_time <= IMPACT_DURATION_S),
-        "hold": hold & (tension <= KNEE_TENSION_N),
-        "beyond 200 N": hold & (tension > KNEE_TENSION_N),
+        "hold": is_holding & (tension <= KNEE_TENSION_N),
+        "beyond 200 N": is_holding & (tension > KNEE_TENSION_N),
         "slack": is_ready & ~_widened_mask(is_taut, t, SLACK_WINDOW_S),
     }
 
@@ -69,7 +69,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
     """Return a mask (ticks, tendons) that is True in ticks in which the spool changes its direction of rotation."""
     period = record.t_ns[1] - record.t_ns[0]
     angle = [
-        record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
+        record.true_values((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
         for delay in (0, period)
     ]
     speed = (angle[0] - angle[1]) / (period * 1e-9)

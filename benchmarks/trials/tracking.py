@@ -15,7 +15,7 @@ seeds of the measured trials differ from the seeds with which the LQR weights we
 ``--tune`` repeats the selection of the LQR weights. With the selected LQR weights, the control
 loops have hardly any stability margin. A second comparison uses the best LQR weights with
 sufficient stability margins. Stability margins are sufficient if they are at least 6 dB and 45
-degrees. Random hands with parameters close to the hand file must also have these margins.
+degrees, also for random hands whose parameters are close to the hand file.
 """
 
 import argparse
@@ -127,26 +127,30 @@ def tracking_trial(
     )
 
 
-def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def tracking_figures(
+    trial_record: TrialRecord, speeds: tuple[str, ...]
+) -> dict[str, dict[str, float]]:
     """Return the tracking results of each speed. Each result is the worst value of all digits.
 
     The results are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """
-    goal = mean_angles(record.hand, record.telemetry["q_goal"])
-    error = np.degrees(goal - mean_angles(record.hand, record.q()))
+    goal = mean_angles(trial_record.hand, trial_record.telemetry["q_goal"])
+    error = np.degrees(goal - mean_angles(trial_record.hand, trial_record.true_joint_angles()))
     result = {}
     for speed in speeds:
-        mask = record.phase == speed
+        mask = trial_record.phase == speed
         mask &= (
-            record.times
-            <= record.times[mask].min(initial=np.inf) + MOTION_TIMES_S[speed] + SETTLING_TIME_S
+            trial_record.times
+            <= trial_record.times[mask].min(initial=np.inf)
+            + MOTION_TIMES_S[speed]
+            + SETTLING_TIME_S
         )
         if not mask.any():
             result[speed] = dict.fromkeys(
                 ("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan")
             )
             continue
-        t = record.times[mask] - record.times[mask][0]
+        t = trial_record.times[mask] - trial_record.times[mask][0]
         e = error[mask]
         moving = t <= MOTION_TIMES_S[speed] + MOTION_EXTENSION_S
         time_after_motion = t - MOTION_TIMES_S[speed]

@@ -125,7 +125,8 @@ def _conclusion_text(rows_by_law: dict, compared_law_names: tuple[str, str, str,
 def _comparison_of_laws(rows_by_law: dict, compared_law_names: tuple[str, str, str, str]) -> str:
     """Compare the tracking error of the complete control law with the tracking errors of two other control laws.
 
-    The two other control laws are PD, and the law with springs and gravity only.
+    The two other control laws are PD without feedforward, and PD with a feedforward of springs and
+    gravity only.
     """
     pd_row, springs_row, best = (rows_by_law[name]["fast"] for name in compared_law_names[:3])
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]

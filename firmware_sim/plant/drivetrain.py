@@ -1,14 +1,15 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. A row of the array has the same attributes as an object of the list.
+rotors are objects in a list. A row and an object have attributes of the same names, so the code of
+a kernel can use both.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
-rigid-body engine integrates both forces implicitly. For this purpose, the kernels compute the slope
-of the two forces over the tendon speed, and the engine uses this slope as a damping coefficient of
-the tendon. At the links, the kernels compensate the torque of this added damping, so that only the
-exact friction remains.
+rigid-body engine integrates both forces implicitly. The kernels compute the derivative of damping
+force and capstan friction with respect to the tendon speed. The engine uses this slope as a damping
+coefficient of the tendon. The kernels compensate the joint torque that the damping coefficient of
+the tendon causes, so that only the exact friction remains.
 """
 
 import math
@@ -137,8 +138,9 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     The kernel also sets ``tendon.slope``: the damping, plus the friction force divided by the
     tendon speed [N s/m].
 
-    Friction at a pulley changes the tension beyond the pulley, seen from the spool. The wrap angle
-    at a pulley includes the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
+    Friction at a pulley changes the tension of the tendon between the pulley and the distal end of
+    the tendon. The wrap angle at a pulley includes the wrap of all pulleys nearer to the spool.
+    Source: MODEL, section 3.
     """
     tension = tendon.tension
     angle = tendon.wrap
@@ -157,12 +159,12 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
             min_tension = local_tension
         elif local_tension > max_tension:
             max_tension = local_tension
-    loss = (
+    max_tension_change = (
         tension - min_tension
         if tension - min_tension > max_tension - tension
         else max_tension - tension
     )
-    tendon.slope = tendon.damping + _friction_per_speed(tendon, loss, tension * angle)
+    tendon.slope = tendon.damping + _friction_per_speed(tendon, max_tension_change, tension * angle)
 
 
 @kernel_helper
@@ -368,9 +370,8 @@ def step_drivetrain(
 ) -> None:
     """Compute one step of the tendons and the rotors.
 
-    MuJoCo does not compute these parts of the hand.
-
-    The kernel ``_integrate_steps`` describes the whole step.
+    MuJoCo computes the links, but not the tendons and the rotors. The kernel ``_integrate_steps``
+    describes the whole step.
 
     Args:
         tendons: tendons of the hand.

@@ -323,7 +323,7 @@ def _digit_element(
         opening_tag += (
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
-        bits = (
+        collision_bits = (
             _collision_bits_of_carrier()
             if is_carrier
             else _collision_bits_of_digit(is_digit_opposed[digit.name], is_near_palm[i])
@@ -336,7 +336,7 @@ def _digit_element(
             else digit.length[i]
         )
         mesh = meshes_by_link.get(f"{digit.name}_link{i + 1}")
-        body = _link_geometry(digit, i, length, bits, mesh is not None)
+        body = _link_geometry(digit, i, length, collision_bits, mesh is not None)
         opening_tag += f"{_joint_element(digit, i)}{body}{_mesh_geom(mesh)}\n"
         closing_tag = "</body>" + closing_tag
     return (
@@ -384,7 +384,7 @@ def _joint_element(digit: Digit, i: int) -> str:
 
 
 def _link_geometry(
-    digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool
+    digit: Digit, i: int, length: float, collision_bits: tuple[int, int], has_mesh: bool
 ) -> str:
     """Build inertia and collision shape of link ``i``.
 
@@ -399,7 +399,7 @@ def _link_geometry(
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
         f'<inertial pos="{_numbers_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
-        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"'
+        f'<geom {shape} size="{digit.radius}" contype="{collision_bits[0]}" conaffinity="{collision_bits[1]}"'
         f"{_group_attribute(has_mesh)}/>"
     )
 
@@ -601,7 +601,7 @@ def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
 def _plate_position(
     grasp_object: GraspObject, normal: int, sign: float
 ) -> tuple[float, float, float]:
-    """Return the centre of a plate that touches the object on the side of an axis [m].
+    """Return the centre of a plate that is perpendicular to an axis and touches the object [m].
 
     Args:
         grasp_object: object of the scene.

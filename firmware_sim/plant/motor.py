@@ -115,7 +115,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, None without a power-stage fault."""
+        """Return the function that changes the torque command, None if the power stage has no fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter
@@ -163,9 +163,9 @@ def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], 
     Returns:
         The motors, and the array with the rows of the motors.
     """
-    memory = (MotorRow * len(specs))()
-    motors: list[Motor] = list(memory)
+    rows = (MotorRow * len(specs))()
+    motors: list[Motor] = list(rows)
     for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
         motor._set_parameters(spec, step_s)
         motor.number = number
-    return motors, structure_array(memory, RotorStruct)
+    return motors, structure_array(rows, RotorStruct)

@@ -352,8 +352,9 @@ class Plant:
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
         """Return the four lists that the kernels need when they run as interpreted Python.
 
-        The first two lists contain the joint angles and velocities. The other two lists contain
-        zeros, which the kernels replace by the joint torques and the damping of the tendons.
+        The first two lists contain the joint angles and velocities. The third list has a zero for
+        each joint, which the kernels replace by the joint torque. The fourth list has a zero for
+        each tendon, which the kernels replace by the damping of the tendon.
         """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()

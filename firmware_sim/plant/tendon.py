@@ -119,7 +119,7 @@ class TendonRouting:
         joints: list[str],
         motors: list[str],
         radii: list[float],
-        compiled: bool,
+        is_compiled: bool,
     ) -> None:
         """Build the tendons of a hand and their pulleys.
 
@@ -128,10 +128,10 @@ class TendonRouting:
             joints: names of the joints.
             motors: names of the motors.
             radii: radius of each spool [m].
-            compiled: True to create arrays for compiled kernels.
+            is_compiled: True to create arrays for compiled kernels.
         """
-        memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
-        self.tendons: list[Tendon] = list(memory)
+        rows_or_objects = (TendonRow * len(specs))() if is_compiled else [Tendon() for _ in specs]
+        self.tendons: list[Tendon] = list(rows_or_objects)
         path: list[tuple[int, tuple[float, ...]]] = []
         for tendon, spec in zip(self.tendons, specs, strict=True):
             motor = motors.index(spec.motor)
@@ -142,9 +142,11 @@ class TendonRouting:
             passed_joints = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_parameters(spec, name)) for name in passed_joints]
             tendon.end = len(path)
-        self.rows: Any = structure_array(memory, TendonStruct) if compiled else self.tendons
+        self.rows: Any = (
+            structure_array(rows_or_objects, TendonStruct) if is_compiled else self.tendons
+        )
         self.joints: Any = [joint for joint, _ in path]
         self.arms: Any = [number for _, pulley in path for number in pulley]
-        if compiled:
+        if is_compiled:
             self.joints = np.array(self.joints, np.int64)
             self.arms = np.array(self.arms, np.float64)

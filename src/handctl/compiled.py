@@ -173,11 +173,11 @@ def _cache_folder() -> Path | None:
 
     If the folder is not writable, return None.
     """
-    root = Path(
+    cache_root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
         or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     )
-    folder = root / "handctl" / f"kernels-{_source_hash()}"
+    folder = cache_root / "handctl" / f"kernels-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -222,7 +222,8 @@ _CACHE_FOLDER = None if not NUMBA_INSTALLED or numba_config.DISABLE_JIT else _ca
 def square(value: float) -> float:
     """Return the square of a number, computed as the number times itself.
 
-    In interpreted code, the operator ``**`` would round differently.
+    The operator ``**`` is not used, because interpreted code and compiled code would round its
+    result differently.
     """
     return value * value
 
@@ -243,7 +244,7 @@ def _generate_borrowed_array(
         raise TypingError(f"a kernel can borrow a contiguous array only, not {flat_array}")
     result = types.Array(flat_array.dtype, shape.count, "C")
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
             arrayobj as _arrayobj,
         )  # imported here, because only a compilation of kernels needs this module
@@ -263,7 +264,7 @@ def _generate_borrowed_array(
         return array._getvalue()
 
     tuple_of: Any = types.UniTuple
-    return result(flat_array, types.intp, tuple_of(types.intp, shape.count)), generate
+    return result(flat_array, types.intp, tuple_of(types.intp, shape.count)), generate_code
 
 
 def borrowed_array(

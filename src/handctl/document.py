@@ -81,19 +81,21 @@ def _error_line(
     )
     error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest_error)
     location = _without_tags(file_content, error_detail["loc"], error_detail["type"])
-    where = f"{source}: {key_path(file_content, location)}" if location else source
+    location_text = f"{source}: {key_path(file_content, location)}" if location else source
     if error_detail["type"] == "extra_forbidden":
         return ConfigError(
-            "unknown key", where, _expected_key(str(location[-1]), model, error_detail["loc"][:-1])
+            "unknown key",
+            location_text,
+            _expected_key(str(location[-1]), model, error_detail["loc"][:-1]),
         )
     if error_detail["type"] == "missing":
-        return ConfigError("missing", where, "this key")
+        return ConfigError("missing", location_text, "this key")
     value = error_detail["input"]
     if error_detail["type"] == "union_tag_invalid":
         key = error_detail["ctx"]["discriminator"].strip("'")
         return ConfigError(
             toml_spelling(value[key]),
-            f"{where}.{key}",
+            f"{location_text}.{key}",
             "one of " + error_detail["ctx"]["expected_tags"],
         )
     expected = error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
@@ -101,9 +103,9 @@ def _error_line(
     # itself does not show the mistake.
     problem_text, separator, right = expected.partition(EXPECTED_SEPARATOR)
     if separator:
-        return ConfigError(problem_text, where, right)
+        return ConfigError(problem_text, location_text, right)
     problem_text = "a table" if isinstance(value, Mapping) else toml_spelling(value)
-    return ConfigError(problem_text, where, expected)
+    return ConfigError(problem_text, location_text, expected)
 
 
 def _without_tags(
@@ -111,8 +113,8 @@ def _without_tags(
 ) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the models of a union.
 
-    All parts of the resulting location exist in the content. If the error is a missing key, the
-    last part of the location is the missing key.
+    Each part of the returned location is a key or an index in the content of the file, with one
+    exception. If the error is a missing key, the last part of the location is the missing key.
     """
     path: list[str | int] = []
     for position, key_or_index in enumerate(key_location):
@@ -180,7 +182,8 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
     """Return True if pydantic uses the given name in error locations for a model of a union.
 
-    Pydantic names the model either by its tag or by its class.
+    In an error location, pydantic names a model of a union by the tag or by the class name of the
+    model.
     """
     tags = [get_args(field.annotation) for field in model.model_fields.values()]
     return name == model.__name__ or (name,) in tags

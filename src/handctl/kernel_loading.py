@@ -34,21 +34,21 @@ runtime: Any = _runtime
 """Internal module of numba without type information, like the two modules above."""
 
 
-def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
+def load_kernel(dispatcher: Any, argument_types: tuple[Any, ...]) -> None:
     """Load the stored code of a kernel into the dispatcher, or do nothing if the kernel has no stored code.
 
     Args:
         dispatcher: numba dispatcher of the kernel, which has a cache on the disk.
-        types: numba types of the arguments.
+        argument_types: numba types of the arguments.
     """
     version: Any = numba.version_info
     if version.short not in TESTED_NUMBA_VERSIONS:
         return
-    context = dispatcher.targetctx
-    with _without_compiler(context):
-        stored_overload = dispatcher._cache.load_overload(types, context)
+    target_context = dispatcher.targetctx
+    with _without_compiler(target_context):
+        stored_overload = dispatcher._cache.load_overload(argument_types, target_context)
     if stored_overload is not None:
-        context.insert_user_function(
+        target_context.insert_user_function(
             stored_overload.entry_point, stored_overload.fndesc, [stored_overload.library]
         )
         dispatcher.add_overload(stored_overload)

@@ -68,8 +68,8 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
 
     Line ends become spaces. If the text is too long, the middle of the text is left out.
 
-    The text keeps its beginning and its end, because a message begins with the mistake and ends
-    with the expected value.
+    A shortened text keeps its beginning and its end, because a message begins with the mistake and
+    ends with the expected value.
     """
     # Escape sequences are never shorter than the characters that they replace.
     if len(text) > 4 * max_characters:

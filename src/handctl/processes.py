@@ -14,7 +14,7 @@ def usable_cores() -> int:
 def run_in_forked_copy(forked_function: Callable[[], str]) -> tuple[int, int]:
     """Run a function in a forked copy of this process.
 
-    The copy ends without running the exit handlers of this process.
+    The forked copy ends without running the exit handlers that it has inherited from this process.
 
     Args:
         forked_function: function that returns a text, which the copy writes into a pipe.

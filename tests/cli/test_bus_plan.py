@@ -133,7 +133,7 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
     """handctl refuses a run if a bus is too slow for the watchdogs of the drives.
 
     The slow bus of this test can carry the frames of at most 20 ticks per second, so one tick takes
-    50 ms. The watchdog time of a drive is also 50 ms.
+    50 ms. The watchdog of a drive fires after 50 ms without a frame.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))

@@ -207,9 +207,10 @@ def refuse_to_open_buses(monkeypatch):
 
 
 def refusal_of_file(capsys, file_option, file_name):
-    """Return the error line of `run` for a file.
+    """Return the error line of `run` for a file, or an empty text if `run` accepts the file.
 
-    Return an empty text if `run` accepts the file and opens the bus.
+    `run` accepts the file if it opens the bus, which ``refuse_to_open_buses`` turns into a
+    ``BusOpenedError``.
     """
     task_options = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:

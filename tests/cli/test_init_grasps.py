@@ -256,7 +256,7 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float) -> None:
     """The default force of each digit is the largest of the candidate values that keep the required gain margin.
 
-    With the next larger candidate value, the gain margin is too small.
+    The next larger candidate for the force would make the gain margin smaller than required.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / hand_file)
     gains = default_gains(hand, rate_hz)
@@ -277,7 +277,7 @@ def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float
 
 
 def margin_of_tendons(hand: Hand, force: float, rate_hz: float, tendons: Iterable[str]) -> float:
-    """Return the smallest gain margin [dB] of the motion loops of some tendons, all with the same force [N]."""
+    """Return the smallest gain margin [dB] of the tendons' motion loops, with ``motion.force_N`` = ``force``."""
     model = HandModel.from_hand(hand, gains_with_force(force), rate_hz)
     return min(
         margins_of_loop(open_loop(model, hand.tendon_names.index(name), LoopKind.MOTION)).gain_db

@@ -70,10 +70,10 @@ def run_demos(result_folder, *hand_names, task_file=""):
 
 @pytest.fixture(scope="module")
 def equal_demos(tmp_path_factory):
-    """Return the folders and the results of two equal demos.
+    """Return the folders and the results of two demos with the same hand, task and seed.
 
-    In an ordinary test run, the two equal demos execute a short motion. In a nightly test run, the
-    two equal demos execute a grasp.
+    In an ordinary test run, each of the two demos executes a short motion. In a nightly test run,
+    each demo executes a grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"),

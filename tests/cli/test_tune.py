@@ -325,11 +325,13 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
     assert json.loads(capsys.readouterr().out)["calibration"] == calibration_path.name
 
 
-def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
+def result_of_digit(
+    digit_name, spring_stiffness, blocked_text="", contact_text="", names=("tendon_stiffness",)
+):
     """Return an invented result, as ``identify`` would return it for one tendon.
 
-    ``blocked`` is the text about a blocked digit. ``met`` is the text about a contact of the digit
-    while the identification moves the digit to and fro.
+    ``blocked_text`` is the text about a blocked digit. ``contact_text`` is the text about a contact
+    that the digit makes while the identification moves the digit to and fro.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -350,8 +352,8 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
         judged,
         1.0,
         spectrum,
-        blocked_event_text=blocked,
-        contact_text=met,
+        blocked_event_text=blocked_text,
+        contact_text=contact_text,
     )
 
 
@@ -378,7 +380,9 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
-    result_by_tendon = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
+    result_by_tendon = {
+        "middle_tendon": result_of_digit("middle", 9e4, contact_text=why, names=names)
+    }
     _replace_identification(monkeypatch, calibration, result_by_tendon)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
@@ -396,8 +400,8 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 @pytest.mark.parametrize(
     ("result_fields", "expected_reason"),
     [
-        ({"met": "more load"}, "no parameter was identified"),
-        ({"blocked": "middle is blocked"}, "every digit was blocked"),
+        ({"contact_text": "more load"}, "no parameter was identified"),
+        ({"blocked_text": "middle is blocked"}, "every digit was blocked"),
     ],
 )
 def test_the_reason_why_no_calibration_is_written_is_true(

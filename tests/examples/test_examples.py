@@ -154,10 +154,8 @@ def test_retarget(time_scale_of_attempt):
     assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
     # The second row of the picture shows the distances of the fingertips, in one diagram per digit.
-    second_row_image = imread("retarget.png")[..., :3]
-    second_row_image = second_row_image[
-        int(0.6 * len(second_row_image)) : int(0.8 * len(second_row_image))
-    ]
+    image = imread("retarget.png")[..., :3]
+    second_row_image = image[int(0.6 * len(image)) : int(0.8 * len(image))]
     assert (second_row_image < 0.1).all(axis=(0, 2)).sum() >= 8
 
 

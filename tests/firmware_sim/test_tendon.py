@@ -25,7 +25,7 @@ class TendonOnSpool:
     """One simulated tendon on its spool."""
 
     def __init__(self, spec: TendonSpec = TENDON_SPEC) -> None:
-        routing = TendonRouting([spec], INDEX_JOINTS, [spec.motor], [0.005], compiled=False)
+        routing = TendonRouting([spec], INDEX_JOINTS, [spec.motor], [0.005], is_compiled=False)
         self.motor, (self.row,) = Motor(JAMIA_HAND.motors[0], 0.5e-3), routing.tendons
         self.parts = routing.rows, routing.joints, routing.arms, [self.motor]
 

@@ -28,7 +28,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.all_tendons]
     names = [motor.name for motor in hand.motors]
     routing = TendonRouting(
-        specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False
+        specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], is_compiled=False
     )
     for seed in range(3):
         chance = np.random.default_rng(seed)

@@ -83,7 +83,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
         simulated_description.joints,
         motors,
         [0.005] * len(motors),
-        compiled=False,
+        is_compiled=False,
     )
     for seed in ANGLE_SEEDS:
         q = np.random.default_rng(seed).uniform(

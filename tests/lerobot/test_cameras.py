@@ -79,25 +79,29 @@ def brightness(image):
 
 
 def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
-    decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
+    torchcodec_decoders = pytest.importorskip(
+        "torchcodec.decoders", reason="LeRobot needs torchcodec"
+    )
     try:
-        decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
+        torchcodec_decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
     except RuntimeError as error:  # only test_environment.py provides the FFmpeg libraries
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     with (
         RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
-        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as grasp_log,
     ):
-        active_ranges_s = [active_time_range(log) for log in (fault_log, two)]
-        starts = (0.0, 0.25)
+        active_ranges_s = [active_time_range(log) for log in (fault_log, grasp_log)]
+        video_start_times_s = (0.0, 0.25)
         videos = [
-            write_video(tmp_path / f"{i}.mp4", active_ranges_s[i][1] - starts[i] + 0.2)
+            write_video(tmp_path / f"{i}.mp4", active_ranges_s[i][1] - video_start_times_s[i] + 0.2)
             for i in range(2)
         ]
-        cameras = make_cameras(["wrist"], [videos], starts, 2)
-        frames = export_lerobot([fault_log, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
+        cameras = make_cameras(["wrist"], [videos], video_start_times_s, 2)
+        frames = export_lerobot(
+            [fault_log, grasp_log], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras
+        )
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data", video_backend="torchcodec")
     assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (
         frames,
@@ -105,14 +109,16 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         VIDEO_FRAMES_PER_S,
     )
     assert dataset.meta.camera_keys == ["observation.images.wrist"]
-    random = np.random.default_rng(0)
-    for i in {0, frames - 1, *random.integers(0, frames, 20).tolist()}:
+    generator = np.random.default_rng(0)
+    for i in {0, frames - 1, *generator.integers(0, frames, 20).tolist()}:
         dataset_row = dataset[i]
         image = dataset_row["observation.images.wrist"]
         assert image.shape == (3, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX)
         episode = int(dataset_row["episode_index"])
         frame_time_s = (
-            active_ranges_s[episode][0] + float(dataset_row["timestamp"]) - starts[episode]
+            active_ranges_s[episode][0]
+            + float(dataset_row["timestamp"])
+            - video_start_times_s[episode]
         )
         latest_camera_time_s = np.floor(frame_time_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
         assert brightness(image) == pytest.approx(
@@ -157,16 +163,16 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
     with (
         RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
-        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as grasp_log,
     ):
-        active_end_times_s = [active_time_range(log)[1] for log in (fault_log, two)]
+        active_end_times_s = [active_time_range(log)[1] for log in (fault_log, grasp_log)]
         videos = [
             write_video(tmp_path / f"{i}.mp4", active_end_times_s[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
             for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
         with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
-            export_lerobot([fault_log, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
+            export_lerobot([fault_log, grasp_log], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
 
 
 def test_the_description_is_that_of_lerobot(tmp_path) -> None:

@@ -117,11 +117,11 @@ def test_keys_close_and_open_digits() -> None:
 @pytest.mark.realtime
 def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, work_folder) -> None:
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
-    seconds = 6.0
+    teleop_time_s = 6.0
     words = [
         "--robot.type=handctl", f"--robot.bus={LOCAL_BUS}", f"--robot.options={list(robot_options)}".replace("'", '"'),
         "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * TIME_SCALE)}",
-        f"--teleop_time_s={seconds}",
+        f"--teleop_time_s={teleop_time_s}",
     ]  # fmt: skip
     command = [sys.executable, "-m", "lerobot.scripts.lerobot_teleoperate", *words]
     result = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)

@@ -39,8 +39,8 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 def fault_texts(run_log: RunLog) -> list[str]:
     """Return the texts of those faults in a log that made the hand relax.
 
-    The function ignores faults with a less severe reaction. A busy machine causes such faults when
-    it delays frames and actions.
+    The function ignores faults whose reaction is less severe than relaxing, because a busy machine
+    causes such faults when it delays frames and actions.
     """
     return [
         row.event.text
@@ -55,10 +55,10 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     robot = ["--robot.type=handctl", f"--robot.bus={LOCAL_BUS}"]
-    option = "--robot.options=" + json.dumps(robot_options)
+    robot_options_argument = "--robot.options=" + json.dumps(robot_options)
     data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
     run_script(
-        "record", *robot, option, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
+        "record", *robot, robot_options_argument, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
         "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODE_COUNT}",
         f"--dataset.fps={DATASET_FRAMES_PER_S}",
         f"--dataset.episode_time_s={EPISODE_S}", "--dataset.reset_time_s=1", "--dataset.video=false",

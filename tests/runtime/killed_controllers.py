@@ -75,7 +75,7 @@ class DisturbedRun(NamedTuple):
     Attributes:
         sent_signal: signal that was sent to the controller.
         before_signal_ns: time on the simulator's clock just before the signal [ns].
-        after_signal_ns: time on the simulator's clock just after the signal [ns].
+        time_after_signal_ns: time on the simulator's clock just after the signal [ns].
         simulator_delay_ns: time after the signal during which the simulator and its drives did not run
             [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
@@ -86,7 +86,7 @@ class DisturbedRun(NamedTuple):
 
     sent_signal: signal.Signals
     before_signal_ns: int
-    after_signal_ns: int
+    time_after_signal_ns: int
     simulator_delay_ns: int
     bus_sync_counts: bytes
     log_sync_counts: bytes
@@ -101,7 +101,7 @@ class KillVerdict(NamedTuple):
         was_taut: True if a tendon was taut at the time of the signal.
         had_motor_torque: True if a motor made torque at the time of the signal.
         max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
-        min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
+        min_torque_off_ms: time from ``time_after_signal_ns`` until no motor made torque [ms].
         remaining_tension_N: largest tension after the fingers have had time to open [N].
     """
 
@@ -340,7 +340,8 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     ]
     begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
     end = np.searchsorted(
-        truth.t_ns, run.after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9)
+        truth.t_ns,
+        run.time_after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9),
     )
     driven = np.flatnonzero(np.abs(torque[begin:end]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = (
@@ -353,7 +354,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         was_taut=bool(tension[begin].max() > MIN_TAUT_N),
         had_motor_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
-        min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
+        min_torque_off_ms=(last_ns - run.time_after_signal_ns) * 1e-6,
         remaining_tension_N=float(tension[min(end, len(tension) - 1)].max()),
     )
 

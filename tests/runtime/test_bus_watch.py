@@ -152,13 +152,13 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     simulated_buses, watch = make_bus_watch("jamia")
     for _ in range(120):
         watch.run_tick()
-    wait = simulated_buses.wait
+    original_wait = simulated_buses.wait
     waiting_times = []
 
     def stall_at_first_wait(k):
         waiting_times.append(k)
         skipped_ticks = missed_ticks if len(waiting_times) == 1 else 0
-        wait(k + skipped_ticks)
+        original_wait(k + skipped_ticks)
         return skipped_ticks * PERIOD_NS + 7
 
     simulated_buses.wait = stall_at_first_wait

@@ -318,12 +318,12 @@ def test_every_thread_gets_the_end_of_the_run(
     calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
     calls.append(lambda: client.move(index=10.0, duration_s=0.2))
 
-    def repeat(client_method):
+    def repeat_until_exception(client_method):
         while True:
             client_method()
 
     with ThreadPoolExecutor(len(calls)) as threads:
-        running = [threads.submit(repeat, client_method) for client_method in calls]
+        running = [threads.submit(repeat_until_exception, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         exceptions = [future.exception(60.0) for future in running]
     # The controller refuses a goal that arrives while the hand relaxes. A refused goal is an error

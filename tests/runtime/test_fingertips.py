@@ -50,7 +50,7 @@ def test_wrong_digits_are_refused(digit_names):
 
 
 class StreamOwner:
-    """Fake client that owns a stream. The hand of the client is at rest."""
+    """Fake client that owns a stream of targets, and observes a hand at rest."""
 
     description = JAMIA11_HAND
 

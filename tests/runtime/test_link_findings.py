@@ -93,7 +93,7 @@ def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     """Reproduce a defect.
 
     The command that handctl proposed for a finding did not set ``restart-ms``. After the user had
-    executed this command, another finding demanded ``restart-ms``.
+    executed the proposed command, handctl reported a second finding, which demanded ``restart-ms``.
     """
     (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = interface_setup_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)

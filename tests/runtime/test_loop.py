@@ -83,7 +83,7 @@ class FakeControllerTick:
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
-    entry: TickIn
+    tick_input: TickIn
     requests: tuple[TickRequest, ...] = ()
     result: tuple[int, TickOut] | None = None
 
@@ -91,7 +91,9 @@ class FakeControllerTick:
         self.requests = requests
 
     def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
-        self.result = self.tick(self.state, self.entry._replace(requests=self.requests + targets))
+        self.result = self.tick(
+            self.state, self.tick_input._replace(requests=self.requests + targets)
+        )
         self.state = self.result[0]
         return self.result[1].frames
 
@@ -108,26 +110,26 @@ class RecordedControlLoop:
     clock: ScriptedClock = field(default_factory=ScriptedClock)
     buses: list[FakeBus] = field(default_factory=lambda: [FakeBus()])
     frames: tuple[Frame, ...] = ()
-    tick_hook: Callable[[TickIn], None] = lambda entry: None
+    tick_hook: Callable[[TickIn], None] = lambda tick_input: None
     requests: list[tuple[str, ...]] = field(default_factory=list)
     host: list[list[IoEvent]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.entries: list[TickIn] = []
+        self.tick_inputs: list[TickIn] = []
         self.recorded_ticks: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
         self.loop: ControlLoop[int] = ControlLoop(
-            self.clock, PERIOD_NS, self.buses, lambda state, entry: FakeControllerTick(self.tick, state, entry),
-            TORQUE_CUT_FRAMES,
+            self.clock, PERIOD_NS, self.buses,
+            lambda state, tick_input: FakeControllerTick(self.tick, state, tick_input), TORQUE_CUT_FRAMES,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
-            lambda entry, out: self.recorded_ticks.append((entry, out)),
-            lambda entry, out: self.shown.append((entry, out)),
+            lambda tick_input, out: self.recorded_ticks.append((tick_input, out)),
+            lambda tick_input, out: self.shown.append((tick_input, out)),
         )  # fmt: skip
 
-    def tick(self, state: int, entry: TickIn) -> tuple[int, TickOut]:
-        self.entries.append(entry)
-        self.tick_hook(entry)
+    def tick(self, state: int, tick_input: TickIn) -> tuple[int, TickOut]:
+        self.tick_inputs.append(tick_input)
+        self.tick_hook(tick_input)
         done = state + 1 >= self.ticks
         mode = HandMode.DONE if done else HandMode.ACTIVE
         return state + 1, TickOut(self.frames, mode, "", 0, None, (), b"")  # type: ignore[arg-type]
@@ -139,8 +141,10 @@ class RecordedControlLoop:
 def test_ticks_follow_one_another_at_their_times() -> None:
     run = RecordedControlLoop()
     assert run.go() == 5
-    assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1, 2, 3, 4]
-    assert [entry.t_ns for entry, _ in run.recorded_ticks] == [k * PERIOD_NS for k in range(5)]
+    assert [tick_input.k for tick_input, _ in run.recorded_ticks] == [0, 1, 2, 3, 4]
+    assert [tick_input.t_ns for tick_input, _ in run.recorded_ticks] == [
+        k * PERIOD_NS for k in range(5)
+    ]
     assert run.clock.waited_ticks == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
     assert run.shown == run.recorded_ticks
@@ -155,8 +159,8 @@ def test_the_warm_up_tick_has_no_effect() -> None:
     """
     run = RecordedControlLoop(frames=(Frame(7, b""),))
     run.go()
-    assert len(run.entries) == 6
-    assert run.entries[0] == TickIn(0, 0)
+    assert len(run.tick_inputs) == 6
+    assert run.tick_inputs[0] == TickIn(0, 0)
     assert len(run.recorded_ticks) == 5
     assert len(run.buses[0].sent) == 5
 
@@ -173,7 +177,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
 
     realtime_in_ticks: list[bool] = []
     run.loop.tick_priority = record_realtime_priority
-    run.tick_hook = lambda entry: realtime_in_ticks.append(is_realtime[0])
+    run.tick_hook = lambda tick_input: realtime_in_ticks.append(is_realtime[0])
     run.go()
     assert realtime_in_ticks + is_realtime == [False, True, True, True, True, True, False], (
         "the first value is of the warm-up"
@@ -198,11 +202,11 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
 ) -> None:
     run = RecordedControlLoop(ticks=4, clock=ScriptedClock(list(lateness_by_tick)))
     run.go()
-    assert [entry.k for entry, _ in run.recorded_ticks] == executed_ticks
-    assert [entry.t_ns for entry, _ in run.recorded_ticks] == [
+    assert [tick_input.k for tick_input, _ in run.recorded_ticks] == executed_ticks
+    assert [tick_input.t_ns for tick_input, _ in run.recorded_ticks] == [
         k * PERIOD_NS for k in executed_ticks
     ]
-    assert [entry.late_ns for entry, _ in run.recorded_ticks] == expected_lateness_ns
+    assert [tick_input.late_ns for tick_input, _ in run.recorded_ticks] == expected_lateness_ns
     assert run.loop.stats.missed_ticks == missed_ticks
     assert run.loop.stats.ticks == 4
     assert list(run.loop.stats.tick_lateness_ns) == (lateness_by_tick + [0] * 4)[:4], (
@@ -227,14 +231,14 @@ def test_received_frames_enter_one_tick_in_order() -> None:
         host=[[IoEvent("recorder", "gone")]],
     )
     run.go()
-    entries = [entry for entry, _ in run.recorded_ticks]
-    assert entries[0].frames == (first_frame, second_frame), (
+    tick_inputs = [tick_input for tick_input, _ in run.recorded_ticks]
+    assert tick_inputs[0].frames == (first_frame, second_frame), (
         "frames from before the run are discarded"
     )
-    assert entries[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
-    assert [entry.requests for entry in entries] == [("x", "y"), (), ("z",)]
-    assert entries[1].frames == entries[2].frames == ()
-    assert entries[1].io_events == ()
+    assert tick_inputs[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
+    assert [tick_input.requests for tick_input in tick_inputs] == [("x", "y"), (), ("z",)]
+    assert tick_inputs[1].frames == tick_inputs[2].frames == ()
+    assert tick_inputs[1].io_events == ()
     assert run.loop.stats.frames_rx == 2
 
 
@@ -291,7 +295,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
     right_bus = FakeBus(1)
     run = RecordedControlLoop(5, buses=[left_bus, right_bus], frames=(Frame(9, b"torque"),))
     if failing_stage == "tick":
-        run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+        run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     elif hasattr(run.loop, failing_stage):
         setattr(run.loop, failing_stage, raise_error)
     else:
@@ -332,7 +336,7 @@ def times_of_polls(
         )
 
     recorded_loop.loop.disable_drives = disable_drives
-    recorded_loop.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    recorded_loop.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     recorded_loop.go()
     return times
 
@@ -412,7 +416,7 @@ def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
         return state, (), () if len(times) == 2 else ("index",)
 
     run.loop.disable_drives = disable_drives
-    run.tick_hook = lambda entry: raise_error() if entry.k == 601 else None
+    run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 601 else None
     with pytest.raises(InjectedError):
         run.go()
     assert times == [602 * PERIOD_NS, 603 * PERIOD_NS]
@@ -420,7 +424,7 @@ def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = RecordedControlLoop(5)
-    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     run.loop.disable_drives = raise_error  # type: ignore[assignment]
     with pytest.raises(PowerError, match="the drives are unknown"):
         run.go()
@@ -434,7 +438,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     left_bus = FakeBus()
     right_bus = FakeBus(1)
     run = RecordedControlLoop(5, buses=[left_bus, right_bus])
-    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     remaining_capacities = [0, 0, 1]
     original_send = left_bus.send
 
@@ -476,7 +480,7 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 
         bus.send = send  # type: ignore[method-assign]
     run = RecordedControlLoop(5, buses=buses)
-    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     with pytest.raises(InjectedError):
         run.go()
     other_bus = 1 - refusing_bus
@@ -489,20 +493,20 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 
 def test_a_failed_tick_sends_nothing_else() -> None:
     run = RecordedControlLoop(5, frames=(Frame(9, b"torque"),))
-    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    run.tick_hook = lambda tick_input: raise_error() if tick_input.k == 2 else None
     with pytest.raises(InjectedError):
         run.go()
     assert run.buses[0].sent == [run.frames, run.frames, TORQUE_CUT_FRAMES]
-    assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1]
+    assert [tick_input.k for tick_input, _ in run.recorded_ticks] == [0, 1]
 
 
 @pytest.mark.parametrize("with_failure", [False, True])
 def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
     collector_states = []
     run = RecordedControlLoop(3)
-    run.tick_hook = lambda entry: (
+    run.tick_hook = lambda tick_input: (
         collector_states.append((gc.isenabled(), gc.get_freeze_count() > 0))
-        or (raise_error() if with_failure and entry.k else None)
+        or (raise_error() if with_failure and tick_input.k else None)
     )
     freeze_count_before = gc.get_freeze_count()
     assert gc.isenabled()

@@ -184,13 +184,13 @@ def test_no_reader_sees_a_torn_record() -> None:
                     torn.append(k)
         reader.close()
 
-    readers = [threading.Thread(target=read) for _ in range(2)]
-    for reader_thread in readers:
+    reader_threads = [threading.Thread(target=read) for _ in range(2)]
+    for reader_thread in reader_threads:
         reader_thread.start()
     for k in range(20_000):
         write_observation(writer, k)
     stop.set()
-    for reader_thread in readers:
+    for reader_thread in reader_threads:
         reader_thread.join()
     assert not torn
     assert len(set(read_ticks)) > 10

@@ -41,8 +41,8 @@ class WallClock:
         self.now_ns += 100
         return self.now_ns
 
-    def sleep(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9) + self.wake_up_delay_ns
+    def sleep(self, duration_s: float) -> None:
+        self.now_ns += round(duration_s * 1e9) + self.wake_up_delay_ns
 
     def execute_tick(self) -> Iterator[None]:
         self.tick_starts_ns.append(self.now_ns)

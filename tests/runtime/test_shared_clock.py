@@ -121,17 +121,17 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    stopped_until = clock_pair.now + 30 * NS_PER_MS
+    simulator_stop_end_ns = clock_pair.now + 30 * NS_PER_MS
     read: list[int] = []
 
     def stopped() -> None:
         read.append(clock_pair.simulator.now_ns())
-        if clock_pair.now >= stopped_until:
+        if clock_pair.now >= simulator_stop_end_ns:
             clock_pair.answer()
 
     clock_pair.between = stopped
     assert clock.wait(1) <= TOLERATED_LATENESS_NS
-    assert clock_pair.now >= stopped_until
+    assert clock_pair.now >= simulator_stop_end_ns
     assert clock.pause_count == 1
     assert clock.paused_ns == pytest.approx(30 * NS_PER_MS - PERIOD_NS, abs=200_000)
     assert max(read) <= clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS

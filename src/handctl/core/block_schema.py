@@ -197,8 +197,9 @@ class BlockLayout:
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a field in a block.
 
-        The view has the shape (rows, ...). The view of a field with a single row has the shape
-        (...), without an axis for the rows.
+        The view of a field with several rows has the shape (rows, *axes), where ``axes`` are the
+        lengths of the axes of the table. The view of a field with a single row has the shape
+        (*axes), without an axis for the rows.
         """
         first_offset, end, shape, is_integer = self._fields[name]
         table_elements = block[first_offset:end]

@@ -284,10 +284,10 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
-    """Return the turn of the joints per torque at constant excursions (n, n) [rad/(N m)].
+    """Return the compliance of the joints, rotation per torque at constant excursions, (n, n) [rad/(N m)].
 
     With the spring stiffness K and a basis N of the null space of the moment arms, the compliance
-    (turn per torque) is N (N^T K N)^-1 N^T.
+    is N (N^T K N)^-1 N^T.
     """
     free_motions = linalg.null_space(digit.moment_arms)
     if not free_motions.shape[1]:
@@ -300,10 +300,10 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 
 
 def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
-    """Return the assumed probabilities of the places of contact on a digit, one column per joint, (places, n).
+    """Return the probability of each assumed contact place on a digit, with a column per joint, (places, n).
 
-    The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
-    torque on all joints, see ``posture``.
+    All columns are equal. The assumed contacts are a force at the middle of each link, a force at
+    the tip, and an equal torque on all joints, see ``posture``.
     """
     n = digit.joint_count
     probabilities = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))

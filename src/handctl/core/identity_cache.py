@@ -33,10 +33,10 @@ class SequenceCache(Generic[T]):
         """Return the results of the function for all items of a sequence."""
         function = self._function
         if len(items) == len(self._items):
-            cached_items = zip(items, self._items, self._values, strict=True)
+            items_with_cached_values = zip(items, self._items, self._values, strict=True)
             self._values = [
                 value if item is cached_item else function(item)
-                for item, cached_item, value in cached_items
+                for item, cached_item, value in items_with_cached_values
             ]
         else:
             self._values = [function(item) for item in items]

@@ -76,7 +76,7 @@ def register_restorable_types(*types: type) -> None:
 
 
 def to_plain_data(value: Any) -> Any:
-    """Return the plain form of a value.
+    """Convert a value to plain values: numbers, strings, bytes and tuples of these.
 
     Raises:
         TypeError: a part of the value is neither plain nor a named tuple, dataclass, array,
@@ -108,7 +108,7 @@ def to_plain_data(value: Any) -> Any:
 
 
 def serialized_bytes(value: Any) -> bytes:
-    """Return the plain form of a value as bytes."""
+    """Convert a value to plain values, and serialize these to bytes."""
     return marshal.dumps(to_plain_data(value), MARSHAL_VERSION)
 
 

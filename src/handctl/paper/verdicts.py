@@ -64,8 +64,9 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """Return the verdict on a lower bound that the paper states.
 
     The argument ``value`` is a value that the bounded quantity reached in practice. The verdict
-    compares ``value`` with the printed bound, as for any printed number, with one exception. If the
-    verdict would be ``wrong`` and ``value`` is above the printed bound, the verdict is ``bound``.
+    compares ``value`` with the printed bound, as for any printed number, with one exception. If
+    ``value`` differs from the printed bound, but is above the printed bound, the verdict is
+    ``bound`` instead of ``wrong``.
     """
     verdict = verdict_of_number(printed_number, value)
     return (

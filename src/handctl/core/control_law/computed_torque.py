@@ -387,9 +387,9 @@ def _motion_force_terms(
     """Return for each tendon the pulley efficiency, and four forces of the motion loop [N].
 
     The first result has the efficiencies (N,). The second result (2, N) has the tension goals and
-    the feedback forces. The third result (2, N) has the null-space forces and the integrals. The
-    feedback has to accelerate both the rotor and the digit. For tendons that follow no trajectory,
-    all force terms are 0.
+    the feedback forces. The third result (2, N) has the forces against tension errors in the null
+    space, and the integrals of these tension errors. The feedback has to accelerate both the rotor
+    and the digit. For tendons that follow no trajectory, all force terms are 0.
 
     Args:
         x: state tables.

@@ -113,7 +113,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp of a drive's position loop for the present goal [N m/rad].
 
-    The stiffness is rounded to the counts of the command.
+    The stiffness is rounded to the resolution with which a command frame transmits kp.
     """
     step = c.tendon[h.SERVO_KP_STEP, n]
     stiffness = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
@@ -124,7 +124,7 @@ def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the damping kd of a drive's position loop for the present goal [N m s/rad].
 
-    The damping is rounded to the counts of the command.
+    The damping is rounded to the resolution with which a command frame transmits kd.
     """
     step = c.tendon[h.SERVO_KD_STEP, n]
     damping = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]

@@ -81,7 +81,11 @@ def redundancy_of_hand(
 
 
 def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
-    """Return the direction of each tendon of a digit (n_t,), see ``TendonRedundancy.closing_sign``."""
+    """Return the closing sign of each tendon of a digit (n_t,).
+
+    The closing sign is 1 for a tendon that is wound while the digit closes, -1 for a tendon that is
+    paid out, and 0 for a spool pair that moves the digit sideways.
+    """
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
     if not is_pair.any():

@@ -127,8 +127,8 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     Friction and the tolerance of the motor force explain the other part of the residual. The main
     residual is filtered with a time constant of 0.2 s. The result is 0 or more.
     """
-    difference = abs(x.tendon[s.RESIDUAL + BALANCE, n])
-    return max(difference - _max_explained_difference(x, c, n, MOTOR_FORCE), 0.0)
+    residual = abs(x.tendon[s.RESIDUAL + BALANCE, n])
+    return max(residual - _max_explained_difference(x, c, n, MOTOR_FORCE), 0.0)
 
 
 @kernel_helper

@@ -18,7 +18,8 @@ covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white 
 When a digit touches an object, the changes of the command are a hundred times as large as in a
 hold. Without a limit, the large changes of the command would dominate the products S for seconds
 after the contact. The test limits the changes a and b to two counts of the torque. The limit keeps
-the signs of a and b. If a drive obeys its commands, the limited changes a and b have equal signs.
+the signs of a and b. If a drive obeys its commands, the change a of the command and the change b of
+the report have equal signs.
 
 The test uses the changes a and b only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks in which the
 drive replied in time. After a pause of the communication, a drive replies to all waiting commands
@@ -153,7 +154,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest torque change of a motor that is no rounding error, divided by the spool radius [N]."""
+    """Return the smallest change of a motor's torque that exceeds the rounding error, as a force at the spool [N]."""
     rounding_step = max(
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
@@ -172,7 +173,7 @@ def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
 def _clipped_increment(increment: float, largest: float) -> float:
     """Return a change of force, limited to plus or minus ``largest``.
 
-    If the change is NaN, the result is NaN.
+    If the change of force is NaN, the result is NaN.
     """
     if increment > largest:
         return largest

@@ -293,9 +293,10 @@ def _gate_and_correct_states(
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
     """Compute the excursion of slack tendons from the other tendons, in digits with more tendons than coordinates.
 
-    The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
-    of a digit is slack, its excursion follows from the excursions of the other tendons. If several
-    tendons of a digit are slack, each tick is one step of an iterative (Gauss-Seidel) solution.
+    The excursions of a digit are the product R q of its moment arms and joint angles. If only one
+    tendon of a digit is slack, the excursions of the other tendons determine the excursion of the
+    slack tendon. If several tendons of a digit are slack, each tick is one step of an iterative
+    (Gauss-Seidel) solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -434,18 +435,18 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three tensions at the joints for each tendon: resistance, speed-signed pull, and pull, (3, N) [N].
+    """Return the resistance, and two estimates of the pull, for each tendon at the joints (3, N) [N].
 
-    The resistance is the tension at the joints that balances springs and gravity. The pull is the
-    estimated tension at the joints, after the friction of the pulleys. If the control law has
-    computed a friction state for a tendon, friction is computed from this state. If the friction
-    state of a tendon is unknown, friction is computed from the speed of the tendon at the spool.
-    The estimated speed of the digit is not used, because this estimate is rough, and its sign would
-    chatter.
+    Row 0, the resistance, is the tension at the joints that balances springs and gravity. Row 2,
+    the pull, is the estimated tension at the joints, after the friction of the pulleys. If the
+    control law has computed a friction state for a tendon, friction is computed from this state. If
+    the friction state of a tendon is unknown, friction is computed from the speed of the tendon at
+    the spool. The estimated speed of the digit is not used, because this estimate is rough, and its
+    sign would chatter.
 
-    For the speed-signed pull, friction is always computed from the speed of the tendon at the
-    spool. The test for the open stop uses the speed-signed pull, because this force is the first to
-    show that a digit leaves the stop.
+    Row 1, the speed-signed pull, is the pull with friction that is always computed from the speed
+    of the tendon at the spool. The test for the open stop uses the speed-signed pull, because this
+    force is the first to show that a digit leaves the stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -477,11 +478,12 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
-    """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
+    """Update the regime of each tendon, and correct the filter states of newly taut tendons.
 
-    The regime of a tendon depends on three conditions: the tendon is slack, the digit is on its
-    open stop, or the digit is in contact. Return the forces of ``_resistance_and_pull_forces``,
-    computed with the new regimes.
+    For a newly taut tendon, the function corrects either the stretch offset or the excursion, see
+    ``set_offset_of_newly_taut_tendon``. The regime of a tendon depends on three conditions: the
+    tendon is slack, the digit is on its open stop, or the digit is in contact. Return the forces of
+    ``_resistance_and_pull_forces``, computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
     has_changed = False

@@ -151,12 +151,14 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     """Return the deviations of the joint angles in the null space of the moment arms [rad].
 
-    The function also writes the turn of the joints that a contact causes.
+    The function also writes ``CONTACT_TURN``, the estimated rotation of each joint that a contact
+    causes [rad], and the standard deviation of this rotation.
 
-    The result has the shape (2 H + 2, J) for H assumed places of contact. Each row contains one
-    deviation of each joint angle. The covariance of two angles is the sum of the products of their
-    deviations over all rows. The levers of the contact forces are computed at the joint angles of
-    the last estimate. Each tick is thus one step of a fixed-point iteration.
+    The result has the shape (2 H + 2, J) for H assumed places of contact. A row belongs to one
+    source of error, and contains the deviation of each joint angle that this source causes. The
+    covariance of two angles is the sum of the products of their deviations over all rows. The
+    levers of the contact forces are computed at the joint angles of the last estimate. Each tick is
+    thus one step of a fixed-point iteration.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
@@ -415,11 +417,13 @@ def _fuse_encoders(
 
 @kernel_helper
 def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
-    """Write the tip-equivalent force of the contact of each digit, and the standard deviation of this force.
+    """Estimate the tip-equivalent contact force of each digit, and the standard deviation of this force [N].
 
-    The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the same
-    torque as the contact. From the tension of a single tendon, the place of the contact cannot be
-    computed, so the contact is assumed at the tip.
+    The tip-equivalent force is the force at the tip that would make the torque of the contact. It
+    acts along the y axis of the last link. In a digit with several coordinates, the torque of the
+    tip-equivalent force fits the torque of the contact in the sense of least squares. From the
+    tension of a single tendon, the place of the contact cannot be computed, so the contact is
+    assumed at the tip.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]

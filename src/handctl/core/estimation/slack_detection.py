@@ -55,10 +55,11 @@ def regime_evidence(
 ) -> int:
     """Return the evidence that the regime of a tendon has ended.
 
-    For a slack tendon, the result is a number of points, which grows while the tendon seems to be
-    taut. For a taut tendon, the result is the number of ticks in a row in which the tendon seemed
-    to be slack. If the load-cell reading of a taut tendon is missing, the number of ticks is set to
-    0. If the load-cell reading of a slack tendon is missing, the points do not change.
+    For a slack tendon, the evidence is a number of points. The points increase while the load cell
+    indicates that the tendon is taut. For a taut tendon, the evidence is the number of ticks in a
+    row in which the tendon seemed to be slack. If the load-cell reading of a taut tendon is
+    missing, the number of ticks is set to 0. If the load-cell reading of a slack tendon is missing,
+    the points do not change.
 
     Args:
         regime: present regime of the tendon.
@@ -148,11 +149,11 @@ def set_offset_of_newly_taut_tendon(
 ) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut.
 
-    With the new value, the modelled tension equals the load-cell reading. If the digit has return
-    springs or joint encoders, the excursion is known, and the stretch offset is set. If the digit
-    has neither return springs nor joint encoders, the length of the tendon is known from
-    commissioning, and the excursion is set. If the new excursion is outside the range of the
-    joints, the stretch offset is set instead of the excursion.
+    With the new value, the modelled tension equals the load-cell reading. In a digit with return
+    springs or joint encoders, the springs or encoders determine the excursion, so the function sets
+    the stretch offset. In a digit with neither return springs nor joint encoders, the length of the
+    tendon is known from commissioning, so the function sets the excursion. If the new excursion is
+    outside the range of the joints, the stretch offset is set instead of the excursion.
 
     Args:
         x: state tables.

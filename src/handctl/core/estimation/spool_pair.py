@@ -4,10 +4,10 @@ A spool pair consists of two antagonistic tendons, which are wound on one spool 
 directions. When the spool turns, it winds up a length dl of one tendon, and pays out the same
 length of the other tendon. Both tendons have the pretension p and the stiffness k, so the tensions
 of the two tendons are p + k dl and p - k dl, but never below 0. The net tension u of the pair is
-the difference of the two tensions. While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p,
-one tendon is slack, and the other tendon carries the whole net tension u. With or without a slack
-tendon, the tension of the first tendon is max(p + u / 2, u, 0). The tension of the second tendon is
-max(p - u / 2, -u, 0).
+the difference of the two tensions. While both tendons are taut, a spool turn by the length dl makes
+the net tension u = 2 k dl. If |u| exceeds 2 p, one tendon is slack, and the other tendon carries
+the whole net tension u. With or without a slack tendon, the tension of the first tendon is
+max(p + u / 2, u, 0). The tension of the second tendon is max(p - u / 2, -u, 0).
 
 Behind the pulleys, friction reduces the tension of the tendon that is wound up, and increases the
 tension of the tendon that is paid out. The friction of both tendons resists the motion. Because of

@@ -114,7 +114,7 @@ def pulley_torque(
 def subtract_torque_of_passing_tendons(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
-    """Subtract the torques of passing tendons from the joint torques (J,).
+    """Subtract from the joint torques (J,) the torques of tendons that cross a joint of a carrying digit.
 
     A passing tendon crosses a joint of another digit, which carries the tendon's own digit. For
     example, the tendons of a finger cross the wrist.

@@ -6,18 +6,19 @@ the moment arms, and B is the coupling of the joints. For a digit with varying m
 module ``constants`` has tables that depend on R. These tables are evaluated at angles q0 = B theta,
 the angles of a free digit at which the modelled excursions e(q0) equal s.
 
-Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment
-arms are constant, the offsets are 0 and the tables do not change. The tables with moment arms
-depend only on the state block, and are evaluated before each use in a tick. A second computation of
-a tick from a stored state gives the same result, because the tables depend only on the state.
+Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If all moment
+arms of a digit are constant, the offset of the linear relation is 0, and the tables with moment
+arms keep their values. The tables with moment arms depend only on the state block, and are
+evaluated before each use in a tick. A second computation of a tick from a stored state gives the
+same result, because the tables depend only on the state.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
 the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
 angle of the wrist and from the tension. The travel of a tendon has a part that the wrist causes.
-``carrier_excursion`` computes this part, which is subtracted from the travel. With the corrected
-travel, the filter, the goals and the detectors treat the finger as if its base were at rest. The
-tendons of the wrist must balance the torque of the tendons that pass the wrist
+``carrier_excursion`` computes the part of the travel that the wrist causes. After this part is
+subtracted, the filter, the goals and the detectors treat the finger as if its base were at rest.
+The tendons of the wrist must balance the torque of the tendons that pass the wrist
 (``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
@@ -192,11 +193,11 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
     first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]
     count = c.digit_int[h.END_COORDINATE, d] - first_coordinate
     gram_matrix = np.zeros((count, count))
-    offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
+    excursion_offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
-            offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
+            excursion_offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
             c.tendon_joint_table[h.MOMENT_ARMS, n, j] = arm
         for k in range(count):
             reduced_arm = 0.0
@@ -235,9 +236,9 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
             c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint_table[
                 h.TORQUE_TO_TENSION, n, j
             ] = angle
-            c.joint[h.ANGLE_OFFSET, j] -= angle * offsets[n - tendons[0]]
+            c.joint[h.ANGLE_OFFSET, j] -= angle * excursion_offsets[n - tendons[0]]
     for n in range(tendons[0], tendons[1]):
-        c.tendon[h.EXCURSION_MODEL_OFFSET, n] = offsets[n - tendons[0]]
+        c.tendon[h.EXCURSION_MODEL_OFFSET, n] = excursion_offsets[n - tendons[0]]
         for j in range(joints[0], joints[1]):
             c.tendon[h.EXCURSION_MODEL_OFFSET, n] += (
                 c.tendon_joint_table[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]

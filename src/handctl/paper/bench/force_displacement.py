@@ -163,7 +163,8 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
 def _fit_knee(displacement: Array, force: Array, initial_slope: float) -> tuple[float, float]:
     """Fit a curve with a knee to measurements, by least squares.
 
-    Return the tension at the knee, and the standard deviation of this tension [N].
+    Return the tension at the knee, where the slope of the curve changes, and the standard deviation
+    of this tension [N].
     """
 
     def knee_curve(x: Array, knee: float, stiffness_ratio: float, width: float) -> Array:

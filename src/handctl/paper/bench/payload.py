@@ -80,10 +80,11 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
     The search increases the tension in steps. The returned tension is interpolated between the
     tension steps. Because of friction, the normal force also depends on the earlier tension steps.
-    To avoid the influence of earlier steps, a second grip begins directly with the interpolated
-    tension. From the normal forces in the second grip, the function computes one correction of the
-    tension. The thumb must balance the fingers. Therefore the tension of the thumb is the mean
-    tension of the fingers. In all runs with the same diameter, the grip begins at the same time.
+    To avoid the influence of earlier steps, the hand then grips the cylinder a second time,
+    directly with the interpolated tension. From the normal forces in the second grip, the function
+    computes one correction of the tension. The thumb must balance the fingers. Therefore the
+    tension of the thumb is the mean tension of the fingers. In all runs with the same diameter, the
+    grip begins at the same time.
     """
     names = src.paper_hand().digit_names
     phases = [

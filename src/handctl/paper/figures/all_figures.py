@@ -36,7 +36,7 @@ def figure_contents(
     }
     if experiment_results is not None:
         curves = curves_of_tendons(experiment_results["force_displacement"])
-        loads = experiment_results["payload"]
+        payload_results = experiment_results["payload"]
         figure_functions |= {
             "fig5-force-displacement": (
                 measured_figures.FORCE_FIGURE_SIZE_IN,
@@ -44,7 +44,7 @@ def figure_contents(
             ),
             "fig8-payload": (
                 measured_figures.PAYLOAD_FIGURE_SIZE_IN,
-                lambda fig: measured_figures.draw_payloads(fig, loads),
+                lambda fig: measured_figures.draw_payloads(fig, payload_results),
             ),
         }
     return figure_functions

@@ -21,8 +21,8 @@ LABEL_OFFSETS_MM = {
     "thumb": (0, 0, 8),
 }
 """Offset of the label of each digit [mm]."""
-FACES_AROUND = 24
-FACES_ALONG = 6
+FACES_AROUND_BAR = 24
+RINGS_ON_BAR_END = 6
 """The two constants above are the number of faces around a bar, and the number of rings on the round end of a bar."""
 LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
@@ -127,7 +127,7 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
     side = np.cross(axis, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(axis, side)
-    quarter_turn_angles = np.linspace(0.0, np.pi / 2, FACES_ALONG)
+    quarter_turn_angles = np.linspace(0.0, np.pi / 2, RINGS_ON_BAR_END)
     # The first rings of corners are along the straight part of the bar. The other rings are around
     # the round end of the bar.
     ring_centres_and_radii = [
@@ -137,13 +137,13 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
     ring_centres_and_radii += [
         (end_point + axis * radius * np.sin(a), radius * np.cos(a)) for a in quarter_turn_angles
     ]
-    turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
+    turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND_BAR + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
     ring_points = [centre + size * circle for centre, size in ring_centres_and_radii]
     return [
         np.array([a[i], a[i + 1], b[i + 1], b[i]])
         for a, b in pairwise(ring_points)
-        for i in range(FACES_AROUND)
+        for i in range(FACES_AROUND_BAR)
     ]
 
 

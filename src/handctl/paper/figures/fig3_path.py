@@ -50,12 +50,12 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
         tip = kinematics.fingertip_path(name, np.radians([degrees]))[0]
         axes.plot(*tip, "o", color=BLUE, markersize=4, zorder=5)
         if degrees in (*POSES_DEG, 100):
-            offset = (5, 4) if degrees < 45 else (-7, 6 if degrees < 75 else -5)
+            label_offset = (5, 4) if degrees < 45 else (-7, 6 if degrees < 75 else -5)
             side = "left" if degrees < 45 else "right"
             axes.annotate(
                 f"{degrees:g}°",
                 tip,
-                offset,
+                label_offset,
                 textcoords="offset points",
                 fontsize=8.5,
                 color=BLUE,

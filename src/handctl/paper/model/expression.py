@@ -244,8 +244,8 @@ def typeset_name(name: str) -> str:
     """
     match = re.fullmatch(r"(d{0,2})th(\d)", name)
     if match:
-        dotted_theta = ("θ", "θ̇", "θ̈")[len(match[1])]
-        return dotted_theta + match[2].translate(_SUBSCRIPT_TABLE)
+        theta_with_dots = ("θ", "θ̇", "θ̈")[len(match[1])]
+        return theta_with_dots + match[2].translate(_SUBSCRIPT_TABLE)
     greek_letters = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
     return greek_letters.get(name) or re.sub(
         r"\d+$", lambda number: number[0].translate(_SUBSCRIPT_TABLE), name

@@ -112,12 +112,12 @@ def _lengths_text(name: str) -> list[str]:
 def _check_general_position() -> list[ErrataItem]:
     """Check the formula of section 4 for the position of the fingertip, at random joint angles.
 
-    In section 4, the first coordinate is L1 cos q1 + L2 cos(q1 + q2) + .., and the second
-    coordinate is the same sum with sines.
+    Section 4 of the paper states the coordinates x and y of the fingertip. The formula for x is
+    L1 cos q1 + L2 cos(q1 + q2) + .., and the formula for y has sines in place of the cosines.
     """
     model = paper_digit("index")
-    random = np.random.default_rng(1)
-    rows = random.uniform(-2.0, 2.0, (100, 3))
+    generator = np.random.default_rng(1)
+    rows = generator.uniform(-2.0, 2.0, (100, 3))
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
     angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
     tips = np.array([points_in_plane(model, q)[-1] for q in rows])
@@ -144,9 +144,9 @@ def _check_general_position() -> list[ErrataItem]:
 def _check_hinge_chain() -> ErrataItem:
     """Check whether the chain of hinges in Fig. 2 stays in one plane, and whether the links keep their lengths."""
     model = paper_digit("index")
-    random = np.random.default_rng(3)
+    generator = np.random.default_rng(3)
     largest_deviation = 0.0
-    for q in random.uniform(-2.0, 2.0, (100, 3)):
+    for q in generator.uniform(-2.0, 2.0, (100, 3)):
         nodes = joint_points(model, q)
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         largest_deviation = max(
@@ -204,9 +204,9 @@ def _check_inverse_kinematics() -> ErrataItem:
     given position of the tip.
     """
     model = paper_digit("index")
-    random = np.random.default_rng(2)
+    generator = np.random.default_rng(2)
     largest_deviation = 0.0
-    for q in random.uniform(0.05, 1.7, (200, 3)):
+    for q in generator.uniform(0.05, 1.7, (200, 3)):
         tip = points_in_plane(model, q)[-1]
         x, y = tip.tolist()
         solutions = inverse_kinematics(model, x, y, float(q.sum()))

@@ -90,7 +90,7 @@ def lagrange_torques(states: StateSamples) -> list[Array]:
 
 
 def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the sum of the correct forms of the given energy terms."""
+    """Return the sum of the given energy terms, each in its correct form instead of its printed form."""
     return sum(term.correct_form.evaluate(states) for term in terms)
 
 
@@ -160,7 +160,10 @@ def _term_item(term: EquationTerm) -> ErrataItem:
 
 
 def _wrong_dimensions_text(term: EquationTerm) -> str:
-    """Return the text "dimensions" if a reading of a term has wrong dimensions. Otherwise, return an empty text."""
+    """Return the text "dimensions" if one of the interpretations of a term has a wrong physical dimension.
+
+    Return an empty text if all interpretations (``term.readings``) have the dimension of an energy.
+    """
     for reading in term.readings:
         try:
             if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
@@ -185,10 +188,11 @@ def _asymmetry_text(term: EquationTerm) -> str:
         for other_term in terms
         if other_term.id == term.mirror_id
     )
-    unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
+    states_with_unit_accelerations = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
     is_asymmetric = (
         relative_deviation(
-            term.readings[0].evaluate(unit_states), mirror_term.readings[0].evaluate(unit_states)
+            term.readings[0].evaluate(states_with_unit_accelerations),
+            mirror_term.readings[0].evaluate(states_with_unit_accelerations),
         )
         > RELATIVE_TOLERANCE
     )
@@ -288,7 +292,7 @@ def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
     """Return the torques T for absolute link angles, computed from handctl's joint torques tau.
 
-    The conversion is T_i = tau_i - tau_(i+1), and the last torque is unchanged. Each torque has the
+    The conversion is T_1 = tau_1 - tau_2, T_2 = tau_2 - tau_3 and T_3 = tau_3. Each torque has the
     shape (STATES,) and the unit N m.
     """
     tau = joint_torques(digit, states)

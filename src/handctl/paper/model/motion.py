@@ -93,10 +93,9 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
 
 
 def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
-    """Return times [s], and the torque T_1 [N m] of a closing finger at these times, in two forms.
+    """Return times [s], and the torque T_1 [N m] of a closing finger by the printed and by the corrected Eq. 10.
 
-    The first torque is computed from the printed form of Eq. 10, and the second torque from the
-    corrected form.
+    Each of the three arrays contains one value for each time.
     """
     digit = upright_digit("index")
     times = np.linspace(0.0, duration_s, SAMPLE_COUNT)

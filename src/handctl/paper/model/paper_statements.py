@@ -200,12 +200,12 @@ def _check_axis_of_inertia() -> ErrataItem:
 
 def _check_control_law() -> ErrataItem:
     """Check whether any symbol of a control law occurs in the printed equations."""
-    meanings = {MEANING_BY_SYMBOL.get(symbol[0], "") for symbol in _printed_symbols()} | {
+    symbol_meanings = {MEANING_BY_SYMBOL.get(symbol[0], "") for symbol in _printed_symbols()} | {
         "angle",
         "torque",
     }
     control_law_meanings = [
-        meaning for meaning in meanings if any(word in meaning for word in CONTROL_LAW_WORDS)
+        meaning for meaning in symbol_meanings if any(word in meaning for word in CONTROL_LAW_WORDS)
     ]
     return ErrataItem(
         "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control_law_meanings)), "",

@@ -39,8 +39,9 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
 def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
-    For each failure and each drive protocol, the table states whether the failure is detected,
-    replaced by a weaker sign, or lost.
+    For each failure and each drive protocol, the table states how well handctl can see the failure.
+    With some protocols, handctl detects the failure itself. With others, handctl sees only a weaker
+    sign of the failure (``replaced``), or nothing (``lost``).
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
@@ -92,8 +93,8 @@ def reacts_too_late(row: CatalogueRow) -> bool:
 def late_reactions_markdown(catalogue_rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return a Markdown table of the failures to which handctl can react later than required.
 
-    The project's fault catalogue requires the reaction times. The table states the reason for each
-    late reaction.
+    The project's fault catalogue states the required reaction time of each failure. The table
+    states the reason for each late reaction.
     """
     table_rows = [
         f"| {row.id} | {row.title} | {row.required} | {_max_reaction_ticks(row)} "
