@@ -230,7 +230,9 @@ def _memory_folder() -> str:
     system.
     """
     memory_folder = Path("/dev/shm")
-    is_large_enough = memory_folder.is_dir() and shutil.disk_usage(memory_folder).free > MEMORY_BYTES
+    is_large_enough = (
+        memory_folder.is_dir() and shutil.disk_usage(memory_folder).free > MEMORY_BYTES
+    )
     return (
         str(memory_folder)
         if is_large_enough and not os.statvfs(memory_folder).f_flag & os.ST_NOEXEC
