@@ -178,8 +178,9 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        If the tendons were slack, the controller would turn the motors to take up the slack. The
-        tensions of simulated drives at rest do not rise, so the controller would report a fault.
+        If the tendons were slack, the controller would turn the motors to take up the slack. These
+        simulated drives do not move, so the tensions would not rise, and the controller would report
+        a fault.
         """
         plant = self.rig.world.plant
         index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)

@@ -232,7 +232,7 @@ class ControllerState:
         return float(self._run[row])
 
     def set_run_table_real(self, row: int, value: float) -> None:
-        """Set the number in a row of the table ``run``."""
+        """Store a real number in a row of the table ``run``."""
         self._run[row] = value
 
     def run_table_integer(self, row: int) -> int:
@@ -240,7 +240,7 @@ class ControllerState:
         return self._run_int[row]
 
     def set_run_table_integer(self, row: int, value: int) -> None:
-        """Set the integer in a row of the table ``run_int``."""
+        """Store an integer in a row of the table ``run_int``."""
         self._run_int[row] = value
 
     @property

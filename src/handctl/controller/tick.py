@@ -132,7 +132,7 @@ class DerivedConstants:
     fault_evidence: EvidenceTable
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy of these constants for new gains, with the given limits and the given constants of the hand."""
+        """Return a copy for new gains, in which ``limits`` and ``constants`` replace the present ones."""
         args = (constants.block, constants.layout.offsets)
         return replace(self, limits=limits, constants=constants, kernel_constants=args)
 
@@ -522,8 +522,8 @@ class Controller:
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive after a step of its state machine.
 
-        The numbers of the drive are stored in the state block. All other values of the drive are
-        stored in the decisions.
+        The numbers of the drive are stored in the state block. The values that are not numbers are
+        stored in ``state.decisions.drives``.
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
@@ -777,8 +777,8 @@ class Controller:
     ) -> Frames:
         """Write the commands of the drives into ``frame_words``, after the SYNC frame.
 
-        While the state machine of a drive has something to do, such as to enable the drive, the
-        state machine computes the frames.
+        If the state machine of a drive has work to do, such as enabling the drive, the state machine
+        computes the frames of this drive. Compiled code encodes the commands of all other drives.
 
         Args:
             state: state of the tick, modified in place.

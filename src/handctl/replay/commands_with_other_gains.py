@@ -105,7 +105,7 @@ def draw_commands(
 
     The figure shows the logged commands and the commands with other gains. After the first tick
     with a different reaction to a fault, the commands cannot be compared. In the figure, a grey
-    background marks the ticks that cannot be compared.
+    background marks the ticks in which the commands cannot be compared.
 
     Args:
         path: PNG file to write.

@@ -39,7 +39,7 @@ def relative_error(difference: TickDifference) -> float:
     """Return the error of a computed value compared with the logged value.
 
     If the magnitude of the logged number is below 1, the error is the absolute difference. If the
-    magnitude is 1 or more, the error is the relative difference.
+    magnitude of the logged number is 1 or more, the error is the relative difference.
 
     Returns:
         the error: 0 for texts, and infinity if a number is NaN.
@@ -56,7 +56,7 @@ def relative_error(difference: TickDifference) -> float:
 class DifferenceTally:
     """Counts of the differences that were found so far between the computed and the logged outputs.
 
-    The docstring of LogExecution explains the attributes of the tally.
+    The docstring of LogExecution explains the attributes of this class.
     """
 
     ticks: int = 0

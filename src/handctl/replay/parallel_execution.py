@@ -3,9 +3,9 @@
 The log is divided into consecutive parts, and each process executes one part. At each border
 between two parts, two hashes of the controller's state are compared. One hash comes from the state
 that the earlier process has computed. The other hash is the logged hash of the snapshot from which
-the later process has started. If the hashes are equal, a serial execution would reach the same
-state, and the results of the two parts are combined. If the hashes differ, one process executes the
-rest of the log serially. The result of a parallel execution is always equal to the result of a
+the later process has started. If the two hashes are equal, a serial execution would reach the
+same state, and the results of the two parts are combined. If the two hashes differ, one process
+executes the rest of the log serially. The result of a parallel execution is always equal to the result of a
 serial execution.
 """
 

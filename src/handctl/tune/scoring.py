@@ -98,7 +98,7 @@ class GainScore:
 def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
     """Calculate the score of the gains in a job.
 
-    The job and the result consist of plain values. Any process can therefore evaluate a job.
+    The job and the result consist of plain values, so that any process can evaluate a job.
 
     Args:
         score_job: table with the keys hand (text of the hand file), rate_hz, gains (table), plants

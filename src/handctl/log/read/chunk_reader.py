@@ -170,7 +170,7 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
 def _count_equal_heads(head_bytes: bytes, message_head: bytes, count_limit: int) -> int:
     """Count how many consecutive elements of `head_bytes`, from the first on, equal `message_head`.
 
-    At least one element of `head_bytes` must differ from `message_head`.
+    The function expects that at least one of the compared elements differs from `message_head`.
     """
     low = 0
     while count_limit - low > 1:
@@ -205,7 +205,7 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
 
 
 def _read_text(body: bytes, offset: int) -> tuple[str, int]:
-    """Read a string of a record. Return the string and the offset after it."""
+    """Read a string of a record. Return the string, and the offset of the first byte after the string."""
     raw_bytes, offset = _read_bytes(body, offset)
     return raw_bytes.decode(), offset
 

@@ -277,7 +277,7 @@ class RunLog:
 
     @property
     def gaps(self) -> list[TickGap]:
-        """Return the gaps of the log. In a gap, one or more ticks are missing."""
+        """Return the gaps in the tick numbers of the log. In a gap, one or more ticks are missing."""
         last_ticks_before_gaps = np.flatnonzero(np.diff(self.k) != 1)
         return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in last_ticks_before_gaps]
 

@@ -5,7 +5,8 @@ The control loop advances the simulator tick by tick, and never sleeps.
 In lockstep, the simulator is called the peer. The peer is an object with the method ``step(t_ns,
 frames) -> frames``. The name of the peer's class is given as text, because no module of handctl
 imports a simulator. If the peer also has the method ``exchange(t_ns, records) -> records``, the
-loop calls ``exchange`` instead of ``step``. The method ``exchange`` needs no object for each frame.
+loop calls ``exchange`` instead of ``step``. With ``exchange``, the frames are rows of an array, and
+no object is created for a frame.
 """
 
 import importlib

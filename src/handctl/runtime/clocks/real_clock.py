@@ -29,7 +29,7 @@ MAX_BUSY_WAIT_LEAD_NS = 100_000
 
 
 class TickClock(Protocol):
-    """Clock of the control loop. All times of the class are times of the run, unless a docstring says wall time."""
+    """Clock of the control loop. A time is a time of the run, unless a docstring says wall time."""
 
     def start(self) -> None:
         """Start the time of the run. The next tick is tick 0."""

@@ -138,7 +138,7 @@ class SharedClock(RealClock):
         return int(lateness_ns * self.time_scale)
 
     def clock_statistics(self) -> dict[str, str]:
-        """Return the number of pauses and their total duration, see ``TickClock``."""
+        """Return how often and how long the shared clock has paused, see ``TickClock``."""
         return {
             "clock_pauses": str(self.pause_count),
             "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}",
