@@ -8,6 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, copy_truth, read_truth
+from handctl.session.lockstep_simulation import SimulatorSettings
 from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth_record
 
 
@@ -47,6 +48,30 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
     } | {"object/x"}
     assert names <= set(truth.columns)
     np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
+
+
+@pytest.mark.parametrize("period_ns", [2_000_000, 2_500_000, 5_000_000])
+def test_true_values_once_per_tick_are_those_of_a_complete_file(
+    tmp_path: Path, period_ns: int
+) -> None:
+    truths = []
+    for is_once_per_tick in (False, True):
+        path = tmp_path / f"{is_once_per_tick}.truth"
+        settings = SimulatorSettings(
+            "jamia", "cylinder", seed=3, truth=path, is_truth_once_per_tick=is_once_per_tick
+        )
+        with settings.simulated_hand(period_ns) as simulated_hand:
+            for k in range(200):
+                simulated_hand.step(k * period_ns, [])
+        truths.append(read_truth(path))
+    complete, at_ticks = truths
+    np.testing.assert_array_equal(at_ticks.t_ns, np.arange(200) * period_ns)
+    is_at_tick = np.isin(complete.t_ns, at_ticks.t_ns)
+    assert is_at_tick.sum() >= 100
+    np.testing.assert_array_equal(
+        at_ticks.values[np.isin(at_ticks.t_ns, complete.t_ns)], complete.values[is_at_tick]
+    )
+    assert np.ptp(at_ticks.values, axis=0).any()
 
 
 def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
