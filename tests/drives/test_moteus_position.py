@@ -220,7 +220,7 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
         tables.servo_signal_scalings, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip
     assert first_drive == len(torque)
-    return [frame.data for frame in Frames.from_rows(out[:count])]
+    return [frame.data for frame in Frames(out[:count])]
 
 
 def test_every_signal_has_its_range() -> None:

@@ -122,7 +122,7 @@ class WiredDrives:
                     tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_drive, 0,
                 )  # fmt: skip
-                sent += Frames.from_rows(out[:count])
+                sent += Frames(out[:count])
             if first_drive >= len(self.drives):
                 return sent
             state, frames = self.drives[first_drive].advance(

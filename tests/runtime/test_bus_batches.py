@@ -296,7 +296,9 @@ def test_frames_in_read_only_memory_are_sent(
 ) -> None:
     compile_kernels()  # from here on, a compiled kernel accepts only arguments of its declared types
     batch = equal_frames(8, 0)
-    frames = Frames(np.frombuffer(frames_as_records(batch).records.tobytes(), FRAME_RECORD_DTYPE))
+    frames = Frames.from_records(
+        np.frombuffer(frames_as_records(batch).records.tobytes(), FRAME_RECORD_DTYPE)
+    )
     for bus, link in (local_bus, udp_bus):
         assert bus.send(frames) == len(batch)
         assert link.recv(16).startswith(struct.pack("<IB", batch[0].can_id, 8))

@@ -220,7 +220,7 @@ class FakePackedSimulator(FakeLockstepSimulator):
     """
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
-        self.steps.append((t_ns, list(Frames(records))))
+        self.steps.append((t_ns, list(Frames.from_records(records))))
         answers = records.copy()
         answers["can_id"] += 0x10
         answers["t_ns"] = t_ns + 300

@@ -4,7 +4,7 @@ The state consists of a block of numbers, and of an object that contains the val
 numbers. The values in this object are called the decisions.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import xxhash
@@ -197,10 +197,10 @@ class ControllerState:
         self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         # The table "run" has a single column, so the row number of a field is also its position in
-        # the table.
-        self._run = block[layout.start("run") :]
-        # An element of a memoryview is read four times as fast as an element of an array.
-        self._run_int = block.data.cast("B").cast("q")[layout.start("run_int") :]
+        # the table. An element of a memoryview is read four times as fast as an element of an array.
+        elements = block.data
+        self._run = cast("memoryview[float]", elements[layout.start("run") :])
+        self._run_int = elements.cast("B").cast("q")[layout.start("run_int") :]
 
     def copy(self) -> "ControllerState":
         """Return an independent copy of the state."""
@@ -229,7 +229,7 @@ class ControllerState:
 
     def run_table_real(self, row: int) -> float:
         """Return the number in a row of the table ``run``."""
-        return float(self._run[row])
+        return self._run[row]
 
     def set_run_table_real(self, row: int, value: float) -> None:
         """Store a real number in a row of the table ``run``."""
@@ -246,12 +246,12 @@ class ControllerState:
     @property
     def k(self) -> int:
         """Return the number of the last tick, or -1 before the first tick."""
-        return self.run_table_integer(s.K)
+        return self._run_int[s.K]
 
     @property
     def mode(self) -> HandMode:
         """Return the mode of the hand."""
-        return _MODE_BY_NUMBER[self.run_table_integer(s.HAND_MODE)]
+        return _MODE_BY_NUMBER[self._run_int[s.HAND_MODE]]
 
     @mode.setter
     def mode(self, mode: HandMode) -> None:
@@ -273,11 +273,11 @@ class ControllerState:
         The program time does not increase while the safety monitor makes the hand hold its
         position.
         """
-        return self.run_table_real(s.GOAL_TIME)
+        return self._run[s.GOAL_TIME]
 
     @goal_time.setter
     def goal_time(self, t: float) -> None:
-        self.set_run_table_real(s.GOAL_TIME, t)
+        self._run[s.GOAL_TIME] = t
 
     @property
     def is_arming_requested(self) -> bool:
@@ -291,7 +291,7 @@ class ControllerState:
     @property
     def is_clearing_errors(self) -> bool:
         """Return True if the drives are clearing their latched errors before arming."""
-        return bool(self.run_table_integer(s.CLEARING_DRIVE_ERRORS))
+        return bool(self._run_int[s.CLEARING_DRIVE_ERRORS])
 
     @is_clearing_errors.setter
     def is_clearing_errors(self, is_clearing: bool) -> None:
@@ -300,7 +300,7 @@ class ControllerState:
     @property
     def has_started(self) -> bool:
         """Return True if the encoder and the load cell of every tendon have been read at least once."""
-        return bool(self.run_table_integer(s.FILTER_STARTED))
+        return bool(self._run_int[s.FILTER_STARTED])
 
     @property
     def estimate(self) -> HandEstimate:

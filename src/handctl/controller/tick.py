@@ -762,7 +762,7 @@ class Controller:
         return concatenate_frames(
             [
                 frames_as_records(self.torque_cut_frames()),
-                Frames.from_rows(frame_rows[first_sent_row:1]),
+                Frames(frame_rows[first_sent_row:1]),
             ]
         )
 
@@ -818,12 +818,12 @@ class Controller:
             self.store_drive_state(state, first_row, drive_state)
             if frames:
                 frame_batches += [
-                    Frames.from_rows(frame_words[first_unsent_row:count]),
+                    Frames(frame_words[first_unsent_row:count]),
                     frames_as_records(frames),
                 ]
                 first_unsent_row = count
             first_row += 1
-        remaining_frames = Frames.from_rows(frame_words[first_unsent_row:count])
+        remaining_frames = Frames(frame_words[first_unsent_row:count])
         return (
             concatenate_frames([*frame_batches, remaining_frames])
             if frame_batches

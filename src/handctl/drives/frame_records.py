@@ -63,30 +63,31 @@ class Frames(Sequence[Frame]):
     A ``Frames`` sequence is equal to any other sequence that contains equal frames.
 
     Attributes:
-        records: (n,) frames of type ``FRAME_RECORD_DTYPE``.
+        rows: (n, ``WORDS_PER_RECORD``) records as words of eight bytes, contiguous, for compiled
+            code.
     """
 
-    __slots__ = ("records",)
+    __slots__ = ("rows",)
 
-    def __init__(self, records: RecordArray) -> None:
-        """Store a reference to the records, without copying them."""
-        self.records = records
+    def __init__(self, rows: WordRows) -> None:
+        """Store a reference to the words of the records, without copying them."""
+        self.rows = rows
 
     @staticmethod
-    def from_rows(rows: WordRows) -> "Frames":
-        """Return the frames stored in contiguous words (n, WORDS_PER_RECORD)."""
-        # The constructor ``np.ndarray`` takes a quarter of the time of ``view``, which checks the
-        # fields of the record.
-        return Frames(np.ndarray(len(rows), FRAME_RECORD_DTYPE, rows))
+    def from_records(records: RecordArray) -> "Frames":
+        """Return the frames stored in contiguous records (n,) of type ``FRAME_RECORD_DTYPE``."""
+        return Frames(np.ndarray((len(records), WORDS_PER_RECORD), _WORD_DTYPE, records))
 
     @property
-    def rows(self) -> WordRows:
-        """Return the records as words of eight bytes (n, WORDS_PER_RECORD), for compiled code."""
-        return np.ndarray((len(self.records), WORDS_PER_RECORD), _WORD_DTYPE, self.records)
+    def records(self) -> RecordArray:
+        """Return the records as an array (n,) of type ``FRAME_RECORD_DTYPE``."""
+        # The constructor ``np.ndarray`` takes a quarter of the time of ``view``, which checks the
+        # fields of the record.
+        return np.ndarray(len(self.rows), FRAME_RECORD_DTYPE, self.rows)
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self.records)
+        return len(self.rows)
 
     @overload
     def __getitem__(self, index: int) -> Frame: ...
@@ -95,16 +96,15 @@ class Frames(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> "Frame | Frames":
         """Return one frame as ``Frame``, or the frames of a slice as ``Frames``."""
         if isinstance(index, slice):
-            return Frames(self.records[index])
+            return Frames(np.ascontiguousarray(self.rows[index]))
         t_ns, can_id, flags, bus, length, data = self.records[index].item()
         return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames as ``Frame`` objects. To save time, the method converts whole columns at once."""
-        data = self.records["data"].tobytes()
-        columns = [
-            self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")
-        ]
+        records = self.records
+        data = records["data"].tobytes()
+        columns = [records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
         for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
             yield Frame(can_id, data[64 * i : 64 * i + length], flags, bus, t_ns)
 
@@ -123,7 +123,7 @@ class Frames(Sequence[Frame]):
         return f"Frames({list(self)!r})"
 
 
-NO_FRAMES = Frames(np.empty(0, FRAME_RECORD_DTYPE))
+NO_FRAMES = Frames(np.empty((0, WORDS_PER_RECORD), np.uint64))
 """Sequence without frames."""
 
 
@@ -147,7 +147,7 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
             )
         records[i] = t_ns, can_id, flags, bus, len(payload), 0
         data[i, : len(payload)] = np.frombuffer(payload, np.uint8)
-    return Frames(records)
+    return Frames.from_records(records)
 
 
 def concatenate_frames(frame_batches: Sequence[Frames]) -> Frames:
@@ -156,4 +156,4 @@ def concatenate_frames(frame_batches: Sequence[Frames]) -> Frames:
     if len(nonempty_batches) < 2:
         return nonempty_batches[0] if nonempty_batches else NO_FRAMES
     # The rows are joined as 8-byte words, because numpy takes six times as long to join records.
-    return Frames.from_rows(np.concatenate([batch.rows for batch in nonempty_batches]))
+    return Frames(np.concatenate([batch.rows for batch in nonempty_batches]))

@@ -50,6 +50,7 @@ from handctl.drives.frame_records import (
     NO_FRAMES,
     Frames,
     RecordArray,
+    WordRows,
     frames_as_records,
 )
 from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
@@ -86,6 +87,8 @@ FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 
 The size includes eight data bytes. Further data bytes of a long frame come after the frames.
 """
+_FRAME_WORDS = CLASSICAL_RECORD_BYTES // 8
+"""Number of words of eight bytes of a frame in a Tick message."""
 _CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_OFFSET = 15
@@ -120,6 +123,8 @@ new_tuple = tuple.__new__
 The function `tuple.__new__` is faster than the constructor of the named tuple.
 """
 _COUNT_STRUCT = struct.Struct("<I")
+_COUNT_AND_PADDING_STRUCT = struct.Struct("<I4x")
+_NO_FRAMES = _COUNT_STRUCT.pack(0)
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
 _SHORT_DATA_LENGTHS = bytes(range(9))
 """Payload lengths of frames without long bytes."""
@@ -210,8 +215,16 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit into its field.
     """
-    received_records = frames_as_records(tick_in.frames).records
-    sent_records = frames_as_records(tick_output.frames).records
+    return b"".join(_message_parts(tick_in, tick_output))
+
+
+def _message_parts(tick_in: TickIn, tick_output: TickOut) -> list[bytes]:
+    """Encode a tick as a handctl_msgs/Tick message, and return the consecutive parts of the message.
+
+    This function raises the same errors as `pack_tick`.
+    """
+    received_rows = frames_as_records(tick_in.frames).rows
+    sent_rows = frames_as_records(tick_output.frames).rows
     if len(tick_output.state_hash) != 8:
         raise ValueError(f"state hash of {len(tick_output.state_hash)} bytes; expected 8")
     tick_head = TICK_HEAD_STRUCT.pack(
@@ -221,44 +234,43 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         tick_output.state_hash,
         tick_output.mode,
         tick_output.action,
-        len(received_records),
+        len(received_rows),
     )
-    frame_starts = [
-        records.getfield(_CLASSICAL_FRAME_DTYPE).tobytes()
-        for records in (received_records, sent_records)
-    ]
-    long_payload_bytes = _NO_LONG_DATA
+    received_frames = received_rows[:, :_FRAME_WORDS].tobytes()
+    sent_frames = sent_rows[:, :_FRAME_WORDS].tobytes()
     # A slice with a stride reads the length of every frame without decoding the frames. If all
     # frames are short, nothing remains when the short lengths are stripped.
-    lengths = b"".join(
-        [frame_records[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for frame_records in frame_starts]
+    lengths = (
+        received_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
+        + sent_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
     )
-    if lengths.strip(_SHORT_DATA_LENGTHS):
-        long_data = _long_data(received_records) + _long_data(sent_records)
-        long_payload_bytes = (
-            _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-        )
-    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. Without
-    # sent frames, the message has no padding to 8 bytes.
-    padding = b"\0\0\0\0" if len(sent_records) else b""
-    message_fields = [
+    message_parts = [
         ENCAPSULATION_HEADER,
         tick_head,
-        frame_starts[0],
-        _COUNT_STRUCT.pack(len(sent_records)),
-        padding,
-        frame_starts[1],
-        long_payload_bytes,
+        received_frames,
+        # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes.
+        # Without sent frames, the message has no padding to 8 bytes.
+        _COUNT_AND_PADDING_STRUCT.pack(len(sent_rows)) if len(sent_rows) else _NO_FRAMES,
+        sent_frames,
+        _long_payloads(received_rows, sent_rows)
+        if lengths.strip(_SHORT_DATA_LENGTHS)
+        else _NO_LONG_DATA,
     ]
     if tick_in.io_events or tick_in.requests or tick_output.events:
-        message_fields.append(
-            _message_end(
-                sum(map(len, message_fields)) - 4, tick_output.phase, tick_in, tick_output.events
-            )
+        # The alignment of the texts does not count the encapsulation header.
+        start_offset = sum(map(len, message_parts)) - len(ENCAPSULATION_HEADER)
+        message_parts.append(
+            _message_end(start_offset, tick_output.phase, tick_in, tick_output.events)
         )
     else:
-        message_fields.append(_eventless_message_tail(tick_output.phase))
-    return b"".join(message_fields)
+        message_parts.append(_eventless_message_tail(tick_output.phase))
+    return message_parts
+
+
+def _long_payloads(received_rows: WordRows, sent_rows: WordRows) -> bytes:
+    """Encode the payload bytes after the eighth byte of all frames: number of bytes, bytes, padding to 4 bytes."""
+    long_data = b"".join([_long_data(Frames(rows).records) for rows in (received_rows, sent_rows)])
+    return _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
 
 
 def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
@@ -266,14 +278,15 @@ def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
 
     This function raises the same errors as `pack_tick`.
     """
-    message = pack_tick(tick_in, tick_output)
+    message_parts = _message_parts(tick_in, tick_output)
+    message_size = sum(map(len, message_parts))
     values = tick_output.telemetry.to_bytes()
-    sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(tick_output.telemetry))
+    body_size = TICK_SIZES_STRUCT.size + message_size + len(values)
     return b"".join(
         (
-            RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND),
-            sizes,
-            message,
+            RECORD_FRAMING_STRUCT.pack(body_size, TICK_RECORD_KIND),
+            TICK_SIZES_STRUCT.pack(message_size, *_axis_lengths(tick_output.telemetry)),
+            *message_parts,
             values,
         )
     )
@@ -368,7 +381,7 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
             long_data[:size], np.uint8
         )
         long_data = long_data[size:]
-    return Frames(records), long_data
+    return Frames.from_records(records), long_data
 
 
 def _zero_unused_bytes(records: RecordArray) -> None:
@@ -519,9 +532,9 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
     joined_frames = b"".join(frame_parts)
     if max(joined_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
-    records = _decode_frames(joined_frames, b"")[0].records
+    rows = _decode_frames(joined_frames, b"")[0].rows
     frames = [
-        Frames(records[first_frame:end_frame]) for first_frame, end_frame in pairwise(end_indices)
+        Frames(rows[first_frame:end_frame]) for first_frame, end_frame in pairwise(end_indices)
     ]
     return list(map(_build_tick, tick_heads, frames[::2], frames[1::2], messages, tail_offsets))
 

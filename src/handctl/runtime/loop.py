@@ -400,10 +400,10 @@ class ControlLoop(Generic[S]):
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
-            records = frames_as_records(frames).records
-            bus_indices = records["bus"]
+            records = frames_as_records(frames)
+            bus_indices = records.records["bus"]
             frames_by_bus = [
-                Frames(records[bus_indices == index]) for index in range(len(self.buses))
+                Frames(records.rows[bus_indices == index]) for index in range(len(self.buses))
             ]
             accepted = sum(
                 bus.send(frames_of_bus)

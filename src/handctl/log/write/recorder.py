@@ -44,10 +44,10 @@ CLOSE_TIMEOUT_S = 20.0
 """Longest wait until the recorder has finished the log at the end of a run [s]."""
 LOCKSTEP_TIMEOUT_S = 60.0
 """Longest wait until the recorder accepts one record of a lockstep run [s]."""
-CALLS_PER_PROCESS_CHECK = 8
-"""Number of calls of ``Recorder.take_events`` from one check of the recorder process to the next.
+PROCESS_CHECK_PERIOD_NS = 10_000_000
+"""Time from one check of the recorder process to the next [ns].
 
-A check of the recorder process needs two system calls. A delay of a few milliseconds is acceptable,
+A check of the recorder process needs two system calls. A delay of some milliseconds is acceptable,
 because no event of the recorder stops the hand.
 """
 
@@ -88,7 +88,7 @@ class Recorder:
         self._ended = self._end_reported = self._filling = False
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
-        self._calls = 0
+        self._next_check_ns = 0
         os.set_blocking(self._notes, False)
         self._poll = select.poll()
         self._poll.register(self._notes, select.POLLIN)
@@ -212,8 +212,8 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        To save system calls, only every `CALLS_PER_PROCESS_CHECK`-th call reads the notes of the
-        recorder process.
+        To save system calls, the method reads the notes of the recorder process only once in
+        `PROCESS_CHECK_PERIOD_NS`.
 
         All events of the recorder have the kind "recorder".
 
@@ -229,11 +229,12 @@ class Recorder:
             misshapen: the telemetry of a tick does not have the shape that the header describes.
         """
         events = []
-        if not self._ended and self._calls % CALLS_PER_PROCESS_CHECK == 0:
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._next_check_ns and not self._ended:
+            self._next_check_ns = now_ns + PROCESS_CHECK_PERIOD_NS
             if self._poll.poll(0):
                 self._read_notes(0.0)
             events += self._pipe_level_events()
-        self._calls += 1
         if not self._messages and self.dropped == self._announced and not self._ended:
             return tuple(events)
         events += [

@@ -25,7 +25,6 @@ from handctl.drives.frame_records import (
     TIME_WORD,
     WORDS_PER_RECORD,
     Frames,
-    RecordArray,
     WordRows,
 )
 from handctl.runtime.buses.contract import check_payload_size
@@ -178,7 +177,7 @@ class FrameStructs:
         """
         rows = np.empty((count, WORDS_PER_RECORD), np.uint64)
         has_errors = read_structs(self._rows, rows, t_ns, bus, flag_mask, added_flags)
-        return Frames.from_rows(rows), has_errors
+        return Frames(rows), has_errors
 
     def write(self, frames: Frames) -> NDArray[np.uint64]:
         """Write frames into the first structs.
@@ -207,7 +206,7 @@ class FrameStructs:
         return self._sizes[:written_count, 0]
 
 
-def data_and_error_frames(records: RecordArray) -> tuple[Frames, list[Frame]]:
-    """Split records into data frames and error frames."""
-    errors = (records["can_id"] & ERROR_FLAG) != 0
-    return Frames(records[~errors]), list(Frames(records[errors]))
+def data_and_error_frames(frames: Frames) -> tuple[Frames, list[Frame]]:
+    """Divide frames into data frames and error frames."""
+    is_error = (frames.records["can_id"] & ERROR_FLAG) != 0
+    return Frames(frames.rows[~is_error]), list(Frames(frames.rows[is_error]))

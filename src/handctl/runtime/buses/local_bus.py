@@ -177,7 +177,7 @@ class LocalBus:
             count, self._convert_time(time.monotonic_ns()), self._index
         )
         if has_error_frames:
-            frames, errors = data_and_error_frames(frames.records)
+            frames, errors = data_and_error_frames(frames)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)
         self._count_dropped_frames(structs.reserved_bits(count - 1))

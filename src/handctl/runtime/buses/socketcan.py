@@ -203,7 +203,7 @@ class SocketCanBus:
             self._latest = max(self._latest, t_ns)
         records = frames.records[is_data_frame]
         records["t_ns"] = stamps
-        return Frames(records)
+        return Frames.from_records(records)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""

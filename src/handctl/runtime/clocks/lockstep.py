@@ -49,7 +49,7 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
     records.
     """
     return frames_as_records(
-        Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))
+        Frame(*reply) for reply in peer.step(t_ns, list(Frames.from_records(records)))
     ).records
 
 
@@ -145,7 +145,7 @@ class LockstepClock:
             if self.offset_ns:
                 replies = replies.copy()
                 replies["t_ns"] -= self.offset_ns
-            self.frames_from_simulator.append(Frames(replies))
+            self.frames_from_simulator.append(Frames.from_records(replies))
             self.frames_to_simulator = []
         self.k = k
         return 0
@@ -180,7 +180,7 @@ class LockstepBus:
         # no error frame, as usual, the frames need not be examined one by one.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
-        frames, errors = data_and_error_frames(frames.records)
+        frames, errors = data_and_error_frames(frames)
         for frame in errors:
             events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
             events.add_error_frame(frame.can_id, frame.data)
