@@ -108,7 +108,7 @@ class LockstepHand:
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
         """Answer the host's frames of one tick, and return the answers as objects.
 
-        The method ``exchange`` explains the times of the answers.
+        The docstring of ``exchange`` tells which times the answers have.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.

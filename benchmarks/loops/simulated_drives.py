@@ -154,7 +154,7 @@ class CachedReplies:
         return b"".join(map(pack_record, self.rig.world.receive(frame)))
 
     def replies_to(self, frame: Frame) -> bytes:
-        """Return the replies of all nodes to a frame, as frame records of the local bus."""
+        """Return the replies of all nodes to one frame of the host. Each reply is a record of the local bus."""
         if frame.can_id == self.sync:
             return self.sensor_replies(pack_record(frame))
         if frame.can_id > LARGEST_MOTOR_ID:

@@ -102,8 +102,8 @@ def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) 
     """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
     The kernel uses the quotient of force and speed (the secant of the friction curve) instead of
-    the derivative (the tangent). With the tangent, friction would reverse the motion of a light
-    link.
+    the derivative (the tangent). A friction force computed with the tangent would reverse the motion
+    of a light link.
 
     Args:
         tendon: the tendon, with its present speed.

@@ -35,13 +35,13 @@ class BitRates:
         nominal: bit rate of the arbitration and of classical frames [bit/s].
         data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
             bus without CAN FD.
-        counts_actual_stuffing: True to count the actual stuff bits of each frame, and False to
+        are_stuff_bits_counted: True to count the actual stuff bits of each frame, and False to
             count the largest possible number of stuff bits for the length of the frame.
     """
 
     nominal: int
     data: int = 0
-    counts_actual_stuffing: bool = False
+    are_stuff_bits_counted: bool = False
 
     def duration_of_bits_ns(self, count: int) -> int:
         """Return the duration of the given number of bits at the nominal bit rate [ns]."""
@@ -49,11 +49,11 @@ class BitRates:
 
     def frame_duration_ns(self, frame: Frame) -> int:
         """Return the time for which a frame occupies the wire [ns], including the interframe space."""
-        content = bytes(frame.data) if self.counts_actual_stuffing else bytes(len(frame.data))
+        content = bytes(frame.data) if self.are_stuff_bits_counted else bytes(len(frame.data))
         # If the actual stuff bits are not counted, zeros replace the content of the frame, so that
         # the cache key depends only on the length of the frame.
         nominal_bits, data_bits = _frame_bits(
-            frame.can_id, content, frame.flags & (FDF | BRS), self.counts_actual_stuffing
+            frame.can_id, content, frame.flags & (FDF | BRS), self.are_stuff_bits_counted
         )
         return round(
             nominal_bits * 1e9 / self.nominal + data_bits * 1e9 / (self.data or self.nominal)
@@ -81,18 +81,18 @@ def arbitration_priority(can_id: int) -> int:
 
 @lru_cache(maxsize=1 << 12)
 def _frame_bits(
-    can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
+    can_id: int, data: bytes, flags: int, are_stuff_bits_counted: bool
 ) -> tuple[int, int]:
     """Count the bits of a frame at the nominal bit rate, and the bits at the data bit rate."""
     return (
-        _fd_frame_bits(can_id, data, flags, counts_actual_stuffing)
+        _fd_frame_bits(can_id, data, flags, are_stuff_bits_counted)
         if flags & FDF
-        else _classical_frame_bits(can_id, data, counts_actual_stuffing)
+        else _classical_frame_bits(can_id, data, are_stuff_bits_counted)
     )
 
 
 def _classical_frame_bits(
-    can_id: int, data: bytes, counts_actual_stuffing: bool
+    can_id: int, data: bytes, are_stuff_bits_counted: bool
 ) -> tuple[int, int]:
     """Count the bits of a classical frame.
 
@@ -106,12 +106,12 @@ def _classical_frame_bits(
     body += "" if can_id & REMOTE_FLAG else "".join(format(byte, "08b") for byte in data)
     stuffed_part = body + _crc15(body)
     return len(stuffed_part) + (
-        _stuff_bit_count(stuffed_part) if counts_actual_stuffing else (len(stuffed_part) - 1) // 4
+        _stuff_bit_count(stuffed_part) if are_stuff_bits_counted else (len(stuffed_part) - 1) // 4
     ) + TAIL_BITS, 0
 
 
 def _fd_frame_bits(
-    can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
+    can_id: int, data: bytes, flags: int, are_stuff_bits_counted: bool
 ) -> tuple[int, int]:
     """Count the bits of an FD frame at the nominal bit rate, and the bits at the data bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
@@ -122,11 +122,11 @@ def _fd_frame_bits(
     body = "0" + format(FD_LENGTHS.index(size), "04b")  # ESI, DLC
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
     stuff_bits_in_head = (
-        _stuff_bit_count(header_bits) if counts_actual_stuffing else (len(header_bits) - 1) // 4
+        _stuff_bit_count(header_bits) if are_stuff_bits_counted else (len(header_bits) - 1) // 4
     )
     stuff_bits_total = (
         _stuff_bit_count(header_bits + body)
-        if counts_actual_stuffing
+        if are_stuff_bits_counted
         else (len(header_bits) + len(body) - 1) // 4
     )
     # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The

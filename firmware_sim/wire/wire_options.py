@@ -30,7 +30,7 @@ class WireSpec:
 
     Attributes:
         options: options of the wires.
-        counts_actual_stuffing: True to count the actual stuff bits of each frame.
+        are_stuff_bits_counted: True to count the actual stuff bits of each frame.
         bitrate: nominal bit rate that replaces the rate in the hand file [bit/s], 0 to keep
             the rate in the hand file.
         data_bitrate: data bit rate that replaces the rate in the hand file [bit/s], 0 to keep
@@ -39,7 +39,7 @@ class WireSpec:
     """
 
     options: WireOptions = field(default_factory=WireOptions)
-    counts_actual_stuffing: bool = False
+    are_stuff_bits_counted: bool = False
     bitrate: int = 0
     data_bitrate: int = 0
     adapter: str = NO_LATENCY_CLASS
@@ -61,7 +61,7 @@ class WireSpec:
             data_bitrate: bit rate of the data phase in the hand file [bit/s].
         """
         return BitRates(
-            self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.counts_actual_stuffing
+            self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.are_stuff_bits_counted
         )
 
 
@@ -89,7 +89,7 @@ def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
             raise SimulatorError(
                 f"--wire {option_text}: expected stuffing=worst or stuffing=actual"
             )
-        return replace(spec, counts_actual_stuffing=text == "actual")
+        return replace(spec, are_stuff_bits_counted=text == "actual")
     if key == "adapter":
         if text not in ADAPTER_CLASSES:
             raise SimulatorError(

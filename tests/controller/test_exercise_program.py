@@ -50,7 +50,7 @@ def exercise_stages(
 
 @pytest.mark.parametrize("hand_name", ["jamia", "jamia11", "orca_like"])
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str) -> None:
-    """Reproduce a defect: the exercise moved the wrist fast, and then closed the wrist with a constant tension.
+    """Reproduce a defect: the exercise moved the wrist fast, and then pulled its tendon with a constant tension.
 
     The heavy wrist moved by 9 deg in 0.1 s. The fast motion of the wrist ended the step test of
     `tune design` with the fault T01 (a tendon snapped).

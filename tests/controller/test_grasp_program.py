@@ -367,8 +367,8 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    Because the wrist counted as in contact, a constant tension replaced the motion of the wrist.
-    The constant tension moved the wrist away from its commanded angle. In this test, the force
+    A digit in contact is held with a constant tension. This tension replaced the motion of the wrist.
+    The tension moved the wrist away from its commanded angle. In this test, the force
     along the wrist tendon has the same sign as the moment arm of this tendon.
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)

@@ -50,8 +50,10 @@ def navigation_pages(navigation_entry: Any) -> list[str]:
     """Return all pages in a part of the site's navigation."""
     if isinstance(navigation_entry, str):
         return [navigation_entry]
-    values = navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry
-    return [page for value in values for page in navigation_pages(value)]
+    nested_entries = (
+        navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry
+    )
+    return [page for entry in nested_entries for page in navigation_pages(entry)]
 
 
 def navigation_titles(navigation_entry: Any) -> dict[str, str]:

@@ -17,7 +17,7 @@ from handctl.drives.frame_time import frame_time_s
 NOMINAL_BIT_S, DATA_BIT_S = 1_000_000, 5_000_000
 WORST_CASE_RATES, ACTUAL_RATES = (
     BitRates(NOMINAL_BIT_S, DATA_BIT_S),
-    BitRates(NOMINAL_BIT_S, DATA_BIT_S, counts_actual_stuffing=True),
+    BitRates(NOMINAL_BIT_S, DATA_BIT_S, are_stuff_bits_counted=True),
 )
 FRAME_STRATEGY = st.builds(
     lambda can_id, data, fd: Frame(can_id, data, FDF | BRS) if fd else Frame(can_id, data[:8]),

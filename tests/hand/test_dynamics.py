@@ -279,11 +279,11 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
     for digit in digits:
         q, dq, ddq = next(iter(random_motions(rng, digit.joint_count, 1)))
-        torque_of_arrays = dynamics.required_torque(digit, q, dq, ddq)
-        assert torque_of_arrays == dynamics.required_torque(
+        torque_from_arrays = dynamics.required_torque(digit, q, dq, ddq)
+        assert torque_from_arrays == dynamics.required_torque(
             digit, q.tolist(), tuple(dq.tolist()), ddq.tolist()
         )
-        assert all(type(value) is float for value in torque_of_arrays)
+        assert all(type(value) is float for value in torque_from_arrays)
 
 
 def test_known_numbers_of_the_paper_s_finger():

@@ -33,7 +33,7 @@ import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
 import handctl.log.read.reader, handctl.log.read.recover
-import handctl.replay.log_check, handctl.replay.log_damage, handctl.replay.log_execution
+import handctl.replay.log_check, handctl.replay.damage_description, handctl.replay.log_execution
 import handctl.report.run_report_page, handctl.replay.phase_comparison, handctl.replay.limits_judgement
 import handctl.view.rerun_conversion
 folder, found = Path(sys.argv[1]), []

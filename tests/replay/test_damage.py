@@ -16,8 +16,8 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
+from handctl.replay.damage_description import describe_damaged_log
 from handctl.replay.log_check import check_log
-from handctl.replay.log_damage import describe_damaged_log
 
 
 @pytest.fixture

@@ -193,10 +193,10 @@ class GraspEnv(HandEnv):
             reward += SUCCESS_REWARD
         elif is_object_dropped or self.last_output.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
-        information = {
+        step_info = {
             "is_success": is_object_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
             "table_sinks": table_drop_time_s is not None,
         }
-        return reward, is_object_held or is_object_dropped, information
+        return reward, is_object_held or is_object_dropped, step_info

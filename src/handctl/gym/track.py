@@ -144,7 +144,7 @@ class TrackEnv(HandEnv):
         )
 
     def _reference_coordinates_at(self, q: Vector) -> Vector:
-        """Return the values of the references at given joint angles (J,).
+        """Convert joint angles (J,) to the coordinates in which the references are given.
 
         The conversion does not change the unit of the angles.
         """

@@ -155,8 +155,8 @@ def pull_tensions(
     tendons = model.digit_tendons[d]
     if model.is_pair[tendons].any():
         digit = model.digits[d]
-        load = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
-        return np.asarray(tension / np.abs(load).max() * load)
+        tension_ratios = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
+        return np.asarray(tension / np.abs(tension_ratios).max() * tension_ratios)
     is_antagonist = model.redundancy.has_surplus[tendons] & (
         model.redundancy.closing_sign[tendons] < 0.0
     )

@@ -78,7 +78,7 @@ class CommandRequestBase(RequestBase):
 class KeepAliveRequest(RequestBase):
     """Report that a client is still alive.
 
-    The request restarts the time `lease_s` that the client's last command has set.
+    The last command of the client contains a time `lease_s`. This request restarts the time.
     """
 
     do: Literal["alive"]

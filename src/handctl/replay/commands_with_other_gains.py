@@ -52,7 +52,8 @@ class CommandCollector:
     def comparable_ticks(self, log: RunLog) -> int:
         """Return the number of ticks that can be compared with the log.
 
-        The first tick whose mode or reaction to faults differs from the log ends the comparison.
+        The comparison ends at the first tick with another mode, or with another reaction to faults,
+        than in the log.
         """
         mode, action = np.array(self._reactions).T
         is_different = (mode != log.mode) | (action != log.action)

@@ -106,8 +106,8 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
 
 
 def _check_log(args: argparse.Namespace) -> int:
+    from handctl.replay.damage_description import describe_damaged_log
     from handctl.replay.log_check import check_log
-    from handctl.replay.log_damage import describe_damaged_log
 
     try:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):

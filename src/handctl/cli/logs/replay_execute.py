@@ -58,7 +58,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         else is_within_tolerance(execution, args.within)
     )
     running_version = (version("handctl"), code_identity())
-    writer_text = _writer_text(log)
+    version_and_code_hash = _version_and_code_hash(log)
     result = {
         "log": str(args.recorded),
         "ticks": execution.ticks,
@@ -73,9 +73,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
         "same": has_passed,
         "version": running_version[0],
-        "version_logged": writer_text[0],
+        "version_logged": version_and_code_hash[0],
         "code": running_version[1],
-        "code_logged": writer_text[1],
+        "code_logged": version_and_code_hash[1],
         "wall_s": execution.wall_s,
         "cpu_s": execution.cpu_s,
         "times_real_time": execution.real_time_factor,
@@ -99,10 +99,10 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 f"ticks {gap.last_tick_before + 1} to {gap.first_tick_after - 1} are missing in the log, "
                 "so the ticks after them differ"
             )
-        if execution.differing_ticks and writer_text != running_version:
+        if execution.differing_ticks and version_and_code_hash != running_version:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
-                    *writer_text, *running_version
+                    *version_and_code_hash, *running_version
                 )
             )
         if not has_passed and not execution.different_decisions and args.within is None:
@@ -113,7 +113,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     return has_passed
 
 
-def _writer_text(log: Any) -> tuple[str, str]:
+def _version_and_code_hash(log: Any) -> tuple[str, str]:
     """Return the version and the code hash of the handctl program that wrote a log."""
     from handctl.log.code_identity import UNKNOWN_IDENTITY
 
