@@ -50,6 +50,8 @@ PROCESS_CHECK_PERIOD_NS = 10_000_000
 A check of the recorder process needs two system calls. A delay of some milliseconds is acceptable,
 because no event of the recorder stops the hand.
 """
+CHECKED_PIPE_SHARE = 0.25
+"""Share of the pipe's size after which the recorder process is checked earlier than `PROCESS_CHECK_PERIOD_NS`."""
 
 
 def _enlarge_pipe(descriptor: int) -> int:
@@ -89,6 +91,7 @@ class Recorder:
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
         self._next_check_ns = 0
+        self._unchecked_bytes = 0
         os.set_blocking(self._notes, False)
         self._poll = select.poll()
         self._poll.register(self._notes, select.POLLIN)
@@ -186,6 +189,7 @@ class Recorder:
         Returns:
             True if the record was sent, and False if it was dropped.
         """
+        self._unchecked_bytes += len(data)
         if self._ended:
             self.dropped += 1
             return False
@@ -212,8 +216,9 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        To save system calls, the method reads the notes of the recorder process only once in
-        `PROCESS_CHECK_PERIOD_NS`.
+        To save system calls, the method checks the recorder process only once in
+        `PROCESS_CHECK_PERIOD_NS`, or when a quarter of the pipe could have been filled since the
+        last check.
 
         All events of the recorder have the kind "recorder".
 
@@ -230,8 +235,12 @@ class Recorder:
         """
         events = []
         now_ns = time.monotonic_ns()
-        if now_ns >= self._next_check_ns and not self._ended:
+        is_check_due = (
+            now_ns >= self._next_check_ns or self._unchecked_bytes > self._size * CHECKED_PIPE_SHARE
+        )
+        if is_check_due and not self._ended:
             self._next_check_ns = now_ns + PROCESS_CHECK_PERIOD_NS
+            self._unchecked_bytes = 0
             if self._poll.poll(0):
                 self._read_notes(0.0)
             events += self._pipe_level_events()
