@@ -233,7 +233,7 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
 def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
-    The job uses a seed of the noise that no search has used.
+    The seed of the simulated noise is ``EVALUATION_SEED``, which no search uses.
     """
     table = {
         "gains": gains.model_dump(by_alias=True),

@@ -1,7 +1,7 @@
 """Answers to the frames of one tick, where frames and answers are records in arrays.
 
-A compiled kernel answers the cyclic frames. The Python methods of the nodes answer all other
-frames.
+A compiled kernel answers the cyclic frames. Python methods of the nodes answer the frames that are
+not cyclic.
 """
 
 from operator import is_not

@@ -227,7 +227,7 @@ def _parsed_spec(path: str) -> Any:
 def _remove_meshes(model_spec: Any) -> bool:
     """Remove all shapes with meshes, and all images, from a model.
 
-    If the model has no such shapes or images, return False.
+    If the model has no meshes and no images, return False.
     """
     shapes = [geom for geom in model_spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     mesh_parts = [*shapes, *model_spec.meshes, *model_spec.textures]
@@ -533,7 +533,8 @@ def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
     The motor and the largest tension are None unless the tendon has exactly one actuator. The
     largest tension is None unless the actuator commands a force of limited range. The value
     ``pulls_both_ways`` is True if the range of the force contains negative forces. A single tendon
-    cannot push, so such an actuator belongs to two antagonistic tendons on one spool.
+    cannot push. An actuator with negative forces therefore belongs to two antagonistic tendons on
+    one spool.
     """
     if len(motors) != 1:
         return {"motor": None, "tension_max": None, "pulls_both_ways": False}

@@ -163,9 +163,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Reproduce a defect: the controller detected the exchange of two drives only after 2.3 s.
 
     Each of the two drives reported the encoder and the current of the other drive. The fault N17
-    compares the changes of the commanded torque with the changes of the reported torque. The torque
-    changes at a contact with the object were so large that they hid the differences that the
-    exchange of the drives caused.
+    compares the changes of the commanded torque with the changes of the reported torque. At the
+    contact with the object, the torques changed strongly. These changes hid the differences between
+    commanded and reported torque that the exchange of the drives caused.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -353,8 +353,8 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
     """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
-    If a drive switches off, the tension becomes too low, so the detector of T04b finds nothing. The
-    controller therefore reports the error of the drive, and not the fault T04b.
+    If a drive switches off, the tension becomes too low, and the detector does not find a wrong
+    load cell. The controller therefore reports only the error of the drive.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():

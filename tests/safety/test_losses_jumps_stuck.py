@@ -47,8 +47,8 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
 class LostFrameWindows(SyntheticMonitor):
     """Safety monitor of a motor and a load cell, with a window of lost frames for each of them.
 
-    A window of lost frames is a number with one bit per tick. A bit is set if the frame of its tick
-    was lost.
+    A window of lost frames is an integer in which each bit stands for one tick. A bit is 1 if the
+    frame of its tick was lost.
     """
 
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:

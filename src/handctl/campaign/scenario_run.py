@@ -292,9 +292,10 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        Before the first effect of the fault, the method returns -1. If the detection needs a
-        varying motor force, the method returns the time of the present tick until the force has
-        varied enough. For all other faults, the reaction time counts from the first effect.
+        Before the first effect of the fault, the method returns -1. If the fault can be detected at
+        a constant motor force, the reaction time counts from the first effect. Otherwise, the
+        reaction time counts from the tick in which the motor force has varied enough. Before this
+        tick, the method returns the time of the present tick.
 
         Args:
             simulation: simulation after the present tick.
