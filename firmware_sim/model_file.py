@@ -87,21 +87,21 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
+    jointed_bodies = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
     folder = Path(path).absolute().parent
     urdf = file_format == "urdf"
     visual_meshes = (
         urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
     )
     meshes = list(visual_meshes)
-    links = [_link_values(model, data, roots, body, path) for body in roots]
+    links = [_link_values(model, data, jointed_bodies, body, path) for body in jointed_bodies]
     coupled_joints = _coupled_joints(model, root)
     for link in links:
         link["follows"] = coupled_joints.get(link["joint"])
-    for body, link in zip(roots, links, strict=True):
+    for body, link in zip(jointed_bodies, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
-        origin = data.xanchor[model.body_jntadr[body]]
-        link["meshes"] = _mesh_values(meshes, model, data, body, origin, axes)
+        link_origin = data.xanchor[model.body_jntadr[body]]
+        link["meshes"] = _mesh_values(meshes, model, data, body, link_origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
         "gravity": model.opt.gravity.tolist() if file_format == "mjcf" else None,
@@ -335,7 +335,7 @@ def _link_values(
     """
     joint = int(model.body_jntadr[body_id])
     dof = int(model.jnt_dofadr[joint])
-    origin = model_data.xanchor[joint].copy()
+    link_origin = model_data.xanchor[joint].copy()
     rotation = model_data.xmat[body_id].reshape(3, 3).copy()
     parent_body = int(model.body_weldid[model.body_parentid[body_id]])
     parent_origin, parent_rotation = np.zeros(3), np.eye(3)
@@ -344,20 +344,20 @@ def _link_values(
         parent_rotation = model_data.xmat[parent_body].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
     mass, com, inertia = _link_inertia(
-        model, model_data, _fixed_bodies(model, body_id), origin, rotation
+        model, model_data, _fixed_bodies(model, body_id), link_origin, rotation
     )
     if mass <= 0.0:
         raise SimulatorError(
             f"{path}: link {model.body(body_id).name} has no mass; expected its mass and its inertia"
         )
     points, radius = _shape_corners(
-        model, model_data, _fixed_bodies(model, body_id), origin, rotation
+        model, model_data, _fixed_bodies(model, body_id), link_origin, rotation
     )
     return {
         "name": model.body(body_id).name,
         "joint": _joint_name(model, joint),
         "parent": root_bodies.index(parent_body) if parent_body else -1,
-        "position": (parent_rotation.T @ (origin - parent_origin)).tolist(),
+        "position": (parent_rotation.T @ (link_origin - parent_origin)).tolist(),
         "rotation": (parent_rotation.T @ rotation).tolist(),
         "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
         "axis": (rotation.T @ model_data.xaxis[joint]).tolist(),
@@ -369,7 +369,7 @@ def _link_values(
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frame_origins(model, model_data, body_id, origin, rotation),
+        "frames": _frame_origins(model, model_data, body_id, link_origin, rotation),
         "points": points,
         "radius": radius,
     }

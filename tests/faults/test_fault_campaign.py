@@ -259,11 +259,11 @@ def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
     with homed_run(hand_with_protocol(fault_name, "mit"), rate_hz, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
         advance_to_stage(simulation, FREE_MOTION_STAGE)
-        free_outputs = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
-        assert len(free_outputs) * simulation.period_ns == pytest.approx(
+        free_motion_outputs = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
+        assert len(free_motion_outputs) * simulation.period_ns == pytest.approx(
             FREE_MOTION_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
-        speed = free_outputs[-1].telemetry.dq_goal
+        speed = free_motion_outputs[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 
 
@@ -495,13 +495,16 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     kHz is ``max_ticks`` ticks.
     """
     for row in FAULT_MATRIX:
-        fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
+        row_without_extra_time = row._replace(
+            max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={}
+        )
         limits_up_to_500_hz = [
-            fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)
+            row_without_extra_time.reaction_limit_ticks("mit", period_ms)
+            for period_ms in (5.0, 2.5, 2.0)
         ]
         assert limits_up_to_500_hz == 3 * [row.max_ticks]
         limit_at_1_khz = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
-        assert fixed_row.reaction_limit_ticks("mit", 1.0) == limit_at_1_khz
+        assert row_without_extra_time.reaction_limit_ticks("mit", 1.0) == limit_at_1_khz
     assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}
 
 

@@ -171,9 +171,9 @@ class SyntheticMonitor:
         Only the field ``fault_ticks`` keeps its values: the number of ticks for which each fault
         has been present.
         """
-        present = self.view("fault_ticks").copy()
+        fault_ticks = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
-        self.set_state_values({"fault_ticks": present})
+        self.set_state_values({"fault_ticks": fault_ticks})
 
     @property
     def state_tables(self) -> StateTables:

@@ -416,15 +416,15 @@ class HostFault:
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation has to execute the i-th tick after the start of the fault."""
-        is_first = i == 0
+        is_first_tick = i == 0
         if self.kind == "io":
-            if not is_first and "lasting" not in self.words:
+            if not is_first_tick and "lasting" not in self.words:
                 return {}
             location = (
                 self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
             )
             return {"io_events": (IoEvent(self.words[0], location),)}
-        if not is_first:
+        if not is_first_tick:
             return {}
         if self.kind == "skip":
             return {"skipped_ticks": int(self.words[0])}
