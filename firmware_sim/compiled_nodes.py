@@ -1,4 +1,4 @@
-"""Answers to the frames of one tick, where frames and answers are records in arrays.
+"""Answers to the frames of one tick. Frames and answers are records in arrays.
 
 A compiled kernel answers the cyclic frames. Python methods of the nodes answer the frames that are
 not cyclic.

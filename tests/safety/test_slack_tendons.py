@@ -121,7 +121,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
 def test_a_snapped_tendon_is_detected(
     ticks_since_taut, cell_tension_N, commanded_tension_N, spool_speed, is_detected
 ):
-    """Test a digit whose first tendon is taut. Its second tendon can have a tension between slack and taut.
+    """Test a digit whose first tendon is taut. In some cases, the second tendon is neither slack nor taut.
 
     If a tendon is neither slack nor taut, the detector continues to count the ticks since the
     tendon was last taut.

@@ -42,10 +42,7 @@ class TorqueReportMonitor(SyntheticMonitor):
 
     @property
     def reported_torque_fractions(self) -> list[float]:
-        """Return one fraction for each motor.
-
-        The fraction is the part of a command change that appears in the torque reports.
-        """
+        """Return, for each motor, the fraction of a command change that appears in the torque reports."""
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
         ]

@@ -528,7 +528,7 @@ def _measured_or_estimated_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
+    """Return the name of the phase in which tendon i pulls together with all other tendons of the same digit."""
     return f"hold {model.hand.digit_names[model.digit_of_tendon[i]]}"
 
 
