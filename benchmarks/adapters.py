@@ -71,9 +71,14 @@ def run_demo_with_adapter(
         )
     result = json.loads(output.getvalue())
     error_by_digit = result["tracking_rmse_deg"]
-    tracking = (sum(error**2 for error in error_by_digit.values()) / len(error_by_digit)) ** 0.5
+    tracking_error_deg = (
+        sum(error**2 for error in error_by_digit.values()) / len(error_by_digit)
+    ) ** 0.5
     return AdapterRunOutcome(
-        not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done"
+        not result["failure"],
+        tracking_error_deg,
+        result["tension_hold_error_n"],
+        result["failure"] or "done",
     )
 
 

@@ -211,8 +211,8 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
     def measure_ticks(clock, count: int) -> list[int]:
         """Measure how long each of ``count`` ticks takes [ns].
 
-        The readings of the clock are not included in the time. In user-mode Linux, a reading of the
-        clock takes as long as sending a frame.
+        The measured time does not include the time for reading the clock. In user-mode Linux, a
+        reading of the clock takes as long as sending a frame.
         """
         times = []
         clock_read_ns = statistics.median(-clock() + clock() for _ in range(100))
@@ -241,7 +241,7 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 
 
 def add_ratios(row_by_name: dict) -> dict:
-    """Add three ratios to each row.
+    """Add three ratios of wall times to each measured row.
 
     For the first two ratios, the wall time of the client is divided by the wall time of each of the
     two C programs. For the third ratio, the wall time of python-can is divided by the wall time of

@@ -60,7 +60,7 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield the parts of the program that share the time of a function, each with its fraction of the time.
+    """Divide the time of a function among parts of the program. Yield each part with its fraction.
 
     If no part contains the function, the time of the function is divided among the parts that
     contain the callers. The weight of a caller is the time that the function takes in all calls

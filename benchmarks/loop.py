@@ -178,8 +178,8 @@ def percentiles_us(times_ns: list[int]) -> dict:
 def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late the controller's clock returns from its waits for deadlines.
 
-    The measured ticks do no work. The clock sleeps until shortly before a deadline. With real-time
-    priority, the clock polls from the end of the sleep until the deadline.
+    In each tick, the function only waits for the deadline. The clock sleeps until shortly before a
+    deadline. With real-time priority, the clock polls from the end of the sleep until the deadline.
     """
     from handctl.runtime.clocks.real_clock import RealClock
     from handctl.runtime.clocks.realtime_priority import request_priority
@@ -212,7 +212,7 @@ def both_cores_loaded():
 def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late ``time.sleep`` returns in a process with the priority of the control loop.
 
-    The measured ticks do no work.
+    In each tick, the function only sleeps until the deadline.
     """
     from handctl.runtime.clocks.realtime_priority import request_priority
 

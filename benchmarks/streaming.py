@@ -371,8 +371,8 @@ def measure_clients(
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
     A client that starts the controller itself gets a separate hand. When a client is killed, the
-    controller ends the run of the hand. Therefore, a client that is killed is the last client of
-    its hand.
+    controller ends the run of the hand. Therefore, the client that is killed runs after all other
+    clients of the same hand.
     """
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"

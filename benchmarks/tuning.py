@@ -233,7 +233,7 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
 def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
-    The job uses a seed of the noise that no search has used.
+    The seed of the simulated noise is ``EVALUATION_SEED``, which no search uses.
     """
     table = {
         "gains": gains.model_dump(by_alias=True),
@@ -261,10 +261,10 @@ def print_results(result: dict[str, Any]) -> None:
     )
     print(f"{'gains':<26}{'cost':>8}{'tracking':>12}{'tension':>10}{'effort':>12}{'margins':>10}")
     for name, row in result["on_the_real_plant"].items():
-        margin = "kept" if row["shortfall"] <= 0 else f"-{100 * row['shortfall']:.0f} %"
+        margin_text = "kept" if row["shortfall"] <= 0 else f"-{100 * row['shortfall']:.0f} %"
         print(
             f"{name:<26}{row['cost']:>8.3f}{row['tracking_deg']:>8.2f} deg{row['tension_N']:>8.2f} N"
-            f"{row['effort_Nm_per_s']:>6.1f} N m/s{margin:>10}"
+            f"{row['effort_Nm_per_s']:>6.1f} N m/s{margin_text:>10}"
         )
     print(
         f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s"

@@ -29,7 +29,7 @@ RATE_HZ = 500.0
 def scoring_jobs(job_count: int) -> list[ScoringJob]:
     """Return jobs for trials that differ slightly in their gains.
 
-    If the trials were equal, the search would compute only one of them.
+    The search computes equal trials only once. Therefore, the trials must not be equal.
     """
     gain_changes = [
         gains_with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")

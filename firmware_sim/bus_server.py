@@ -156,9 +156,9 @@ class BusServer:
     def run(self) -> None:
         """Serve the buses until the attribute ``running`` is False."""
         while self.running:
-            self.turn()
+            self.serve_once()
 
-    def turn(self) -> None:
+    def serve_once(self) -> None:
         """Wait until frames arrive or the next millisecond begins.
 
         After the wait, the method advances the plant, and sends the answers of the nodes to the

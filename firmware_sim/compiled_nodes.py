@@ -1,7 +1,7 @@
-"""Answers to the frames of one tick, where frames and answers are records in arrays.
+"""Answers to the frames of one tick. Frames and answers are records in arrays.
 
-A compiled kernel answers the cyclic frames. The Python methods of the nodes answer all other
-frames.
+A compiled kernel answers the cyclic frames. Python methods of the nodes answer the frames that are
+not cyclic.
 """
 
 from operator import is_not
@@ -51,14 +51,14 @@ class CompiledNodes:
         self._world, self._kernels = simulated_world, compile_module_kernels(cyclic_kernels)
         self._capacity = INITIAL_CAPACITY
         self._progress = np.zeros(5, np.int64)
-        sensor = simulated_world.sensor_node if SensorStruct in rows else None
-        self._noise = sensor.noise if sensor else None
+        sensor_node = simulated_world.sensor_node if SensorStruct in rows else None
+        self._noise = sensor_node.noise if sensor_node else None
         self._max_answers = 1
         orders = (np.empty(0, np.int64),) * 2
         bias = np.empty(0)
-        if sensor:
+        if sensor_node:
             orders = simulated_world.sensor_orders
-            bias = sensor.bias
+            bias = sensor_node.bias
             self._max_answers += sum(-(-len(order) // CHANNELS_PER_FRAME) for order in orders)
         self._max_answers += len(simulated_world.row_of)
         self._draws = 2 * len(orders[0]) + len(orders[1])
@@ -70,8 +70,8 @@ class CompiledNodes:
         self.sends_unsolicited = True
         self._sent = np.empty(INITIAL_CAPACITY, FRAME_DTYPE)
         noise = (
-            (sensor.noise.numbers, sensor.noise.bounds)
-            if sensor
+            (sensor_node.noise.numbers, sensor_node.noise.bounds)
+            if sensor_node
             else (np.empty(0), np.zeros(2, np.int64))
         )
         self._sample_arrays = *noise, *simulated_world.plant.sampled

@@ -148,9 +148,10 @@ class MomentArmCurve:
 
     @property
     def negated(self) -> "MomentArmCurve":
-        """Return the moment arm of a tendon on the opposite side of the joint.
+        """Return the curve with the opposite sign.
 
-        The returned moment arm has the opposite sign.
+        The returned curve is the moment arm of a tendon that runs on the opposite side of the
+        joint.
         """
         return replace(self, coefficients=tuple(-coefficient for coefficient in self.coefficients))
 
@@ -476,8 +477,9 @@ def _section_with_template(
 ) -> dict[str, Any]:
     """Return an entry of a hand file, with all missing keys filled in.
 
-    If a key is missing in the entry, its value comes from the template of the entry. If the key is
-    also missing in the template, its value comes from the defaults for entries of the given kind.
+    If a key is missing in the entry, its value comes from the template of the entry. If a key is
+    missing in both the entry and the template, its value comes from the defaults for entries of the
+    kind ``section_kind``.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (

@@ -87,21 +87,21 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
+    jointed_bodies = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
     folder = Path(path).absolute().parent
     urdf = file_format == "urdf"
     visual_meshes = (
         urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
     )
     meshes = list(visual_meshes)
-    links = [_link_values(model, data, roots, body, path) for body in roots]
+    links = [_link_values(model, data, jointed_bodies, body, path) for body in jointed_bodies]
     coupled_joints = _coupled_joints(model, root)
     for link in links:
         link["follows"] = coupled_joints.get(link["joint"])
-    for body, link in zip(roots, links, strict=True):
+    for body, link in zip(jointed_bodies, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
-        origin = data.xanchor[model.body_jntadr[body]]
-        link["meshes"] = _mesh_values(meshes, model, data, body, origin, axes)
+        link_origin = data.xanchor[model.body_jntadr[body]]
+        link["meshes"] = _mesh_values(meshes, model, data, body, link_origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
         "gravity": model.opt.gravity.tolist() if file_format == "mjcf" else None,
@@ -227,7 +227,7 @@ def _parsed_spec(path: str) -> Any:
 def _remove_meshes(model_spec: Any) -> bool:
     """Remove all shapes with meshes, and all images, from a model.
 
-    If the model has no such shapes or images, return False.
+    If the model has no meshes and no images, return False.
     """
     shapes = [geom for geom in model_spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     mesh_parts = [*shapes, *model_spec.meshes, *model_spec.textures]
@@ -335,7 +335,7 @@ def _link_values(
     """
     joint = int(model.body_jntadr[body_id])
     dof = int(model.jnt_dofadr[joint])
-    origin = model_data.xanchor[joint].copy()
+    link_origin = model_data.xanchor[joint].copy()
     rotation = model_data.xmat[body_id].reshape(3, 3).copy()
     parent_body = int(model.body_weldid[model.body_parentid[body_id]])
     parent_origin, parent_rotation = np.zeros(3), np.eye(3)
@@ -344,20 +344,20 @@ def _link_values(
         parent_rotation = model_data.xmat[parent_body].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
     mass, com, inertia = _link_inertia(
-        model, model_data, _fixed_bodies(model, body_id), origin, rotation
+        model, model_data, _fixed_bodies(model, body_id), link_origin, rotation
     )
     if mass <= 0.0:
         raise SimulatorError(
             f"{path}: link {model.body(body_id).name} has no mass; expected its mass and its inertia"
         )
     points, radius = _shape_corners(
-        model, model_data, _fixed_bodies(model, body_id), origin, rotation
+        model, model_data, _fixed_bodies(model, body_id), link_origin, rotation
     )
     return {
         "name": model.body(body_id).name,
         "joint": _joint_name(model, joint),
         "parent": root_bodies.index(parent_body) if parent_body else -1,
-        "position": (parent_rotation.T @ (origin - parent_origin)).tolist(),
+        "position": (parent_rotation.T @ (link_origin - parent_origin)).tolist(),
         "rotation": (parent_rotation.T @ rotation).tolist(),
         "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
         "axis": (rotation.T @ model_data.xaxis[joint]).tolist(),
@@ -369,7 +369,7 @@ def _link_values(
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frame_origins(model, model_data, body_id, origin, rotation),
+        "frames": _frame_origins(model, model_data, body_id, link_origin, rotation),
         "points": points,
         "radius": radius,
     }
@@ -533,7 +533,8 @@ def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
     The motor and the largest tension are None unless the tendon has exactly one actuator. The
     largest tension is None unless the actuator commands a force of limited range. The value
     ``pulls_both_ways`` is True if the range of the force contains negative forces. A single tendon
-    cannot push, so such an actuator belongs to two antagonistic tendons on one spool.
+    cannot push. An actuator with negative forces therefore belongs to two antagonistic tendons on
+    one spool.
     """
     if len(motors) != 1:
         return {"motor": None, "tension_max": None, "pulls_both_ways": False}

@@ -4,9 +4,9 @@ The clock pauses while the machine is too slow.
 
 If the operating system stops the simulator for many milliseconds, the answers of the simulator
 arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
-for late answers of the simulator. In every tick, the controller sets the gate. The gate is the time
-beyond which the clock does not advance until the controller moves the gate. The simulator waits at
-the gate for at most ``MAX_GATE_WAIT_NS``.
+for late answers of the simulator. In every tick, the controller sets a limit for the time of the
+clock, called the gate. The clock does not advance beyond the gate until the controller moves the
+gate. The simulator waits at the gate for at most ``MAX_GATE_WAIT_NS``.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
@@ -115,8 +115,8 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still maps the file into memory then waits for the simulator, as if the
-        simulator were stopped.
+        A controller that still maps the file into memory then sees a stopped simulator, and waits
+        for the simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

@@ -298,7 +298,7 @@ class SimulatedWorld:
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
         """Advance the plant and the nodes by whole time steps, but not beyond the time ``t_ns``.
 
-        The remaining time, which is less than a time step, is left for the next call.
+        The next call simulates the remaining time, which is less than a time step.
 
         Args:
             t_ns: time to which the world advances [ns].
@@ -334,8 +334,8 @@ class SimulatedWorld:
         """Advance plant and nodes to exactly ``t_ns``.
 
         A node that answers a frame then samples the plant at exactly ``t_ns``. The method divides
-        the time step that contains ``t_ns``, and the next call completes this step. All other steps
-        begin and end at multiples of ``STEP_NS``.
+        the time step that contains ``t_ns``, and the next call completes this step. Every step that
+        the method does not divide begins and ends at multiples of ``STEP_NS``.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns

@@ -87,8 +87,8 @@ class PaceMeter:
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock, which means that the plant skips the time by which it is behind the clock.
 
-        The plant does not advance by the skipped time. The method reports the slip if the last
-        report is at least ``REPORT_PERIOD_S`` old.
+        The plant does not advance by the skipped time. If the last report is at least
+        ``REPORT_PERIOD_S`` old, the method reports all clock slips since that report.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -128,7 +128,7 @@ class PaceMeter:
         return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _update_advised_pace(self, present_readings: ClockReadings) -> None:
-        """Update the advised pace from the measured pace since the last report."""
+        """Update the advised pace from the ratio of plant time to wall time since the last report."""
         measured_pace = (present_readings.plant_s - self._last_report.plant_s) / (
             present_readings.wall_s - self._last_report.wall_s
         )

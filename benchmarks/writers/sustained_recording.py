@@ -170,22 +170,22 @@ class _PrecomputedTick:
 
     Attributes:
         state: number of ticks so far.
-        out: output of the tick.
+        tick_output: output of the tick.
     """
 
     state: int
-    out: TickOut
+    tick_output: TickOut
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
         """Do nothing, because the result of the tick was computed before the run."""
 
     def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
         """Return the frames that the tick sends."""
-        return self.out.frames
+        return self.tick_output.frames
 
     def conclude(self) -> tuple[int, TickOut]:
         """Return the result of the tick, which was computed before the run."""
-        return self.state, self.out
+        return self.state, self.tick_output
 
 
 def _run_loop(

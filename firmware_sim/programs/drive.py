@@ -146,8 +146,8 @@ class SimulatedDriveBench:
         """Advance the drives exactly to the time ``t_ns``.
 
         If the time ``t_ns`` is within a time step, the method simulates only the part of the step
-        before ``t_ns``. The next call of ``advance`` or ``advance_exactly`` begins with
-        the rest of the step.
+        before ``t_ns``. The next call of ``advance`` or ``advance_exactly`` first simulates the
+        remaining part of this time step.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns

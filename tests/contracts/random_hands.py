@@ -270,9 +270,9 @@ class RandomHand:
         sensors = self.controller.sensors
         counter = self.state.run_table_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
-            late = rng.random() < CORRUPT_FRACTION
+            is_counter_wrong = rng.random() < CORRUPT_FRACTION
             given_quantities = {
-                SignalQuantity.COUNTER: counter ^ late,
+                SignalQuantity.COUNTER: counter ^ is_counter_wrong,
                 SignalQuantity.TENSION: self.tension,
                 SignalQuantity.ANGLE: self.angle,
             }

@@ -163,9 +163,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Reproduce a defect: the controller detected the exchange of two drives only after 2.3 s.
 
     Each of the two drives reported the encoder and the current of the other drive. The fault N17
-    compares the changes of the commanded torque with the changes of the reported torque. The torque
-    changes at a contact with the object were so large that they hid the differences that the
-    exchange of the drives caused.
+    compares the changes of the commanded torque with the changes of the reported torque. At the
+    contact with the object, the torques changed strongly. These changes hid the differences between
+    commanded and reported torque that the exchange of the drives caused.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -259,11 +259,11 @@ def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
     with homed_run(hand_with_protocol(fault_name, "mit"), rate_hz, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
         advance_to_stage(simulation, FREE_MOTION_STAGE)
-        free_outputs = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
-        assert len(free_outputs) * simulation.period_ns == pytest.approx(
+        free_motion_outputs = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
+        assert len(free_motion_outputs) * simulation.period_ns == pytest.approx(
             FREE_MOTION_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
-        speed = free_outputs[-1].telemetry.dq_goal
+        speed = free_motion_outputs[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 
 
@@ -353,8 +353,8 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
     """Within 20 ms, the detector of T04b (a load cell is wrong) finds only tensions that are too high.
 
-    If a drive switches off, the tension becomes too low, so the detector of T04b finds nothing. The
-    controller therefore reports the error of the drive, and not the fault T04b.
+    If a drive switches off, the tension becomes too low, and the detector does not find a wrong
+    load cell. The controller therefore reports only the error of the drive.
     """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
@@ -495,13 +495,16 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     kHz is ``max_ticks`` ticks.
     """
     for row in FAULT_MATRIX:
-        fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
+        row_without_extra_time = row._replace(
+            max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={}
+        )
         limits_up_to_500_hz = [
-            fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)
+            row_without_extra_time.reaction_limit_ticks("mit", period_ms)
+            for period_ms in (5.0, 2.5, 2.0)
         ]
         assert limits_up_to_500_hz == 3 * [row.max_ticks]
         limit_at_1_khz = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
-        assert fixed_row.reaction_limit_ticks("mit", 1.0) == limit_at_1_khz
+        assert row_without_extra_time.reaction_limit_ticks("mit", 1.0) == limit_at_1_khz
     assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}
 
 

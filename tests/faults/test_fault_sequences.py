@@ -87,8 +87,8 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
     """In the fault sequence of this test, a drive runs away.
 
     The safety rule about high tensions makes an exception for a tension that a runaway drive has
-    caused. The test removes this exception for runaway drives from the safety rule. If the rule
-    makes no exception, the fault sequence must violate the rule.
+    caused. The test removes this exception for runaway drives from the safety rule. Without the
+    exception for runaway drives, the fault sequence must violate the safety rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

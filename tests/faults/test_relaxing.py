@@ -115,7 +115,9 @@ def test_relaxing_raises_no_command_and_no_tension(
     rng = random.Random(f"{hand_name} {protocol} {seed}")
     hand = hand_with_protocol(hand_name, protocol)
     rate = RATE_HZ_BY_HAND[hand_name]
-    perturb = {key: rng.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
+    parameter_factors = {
+        key: rng.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")
+    }
     task = {
         **CAMPAIGN_TASK,
         "phase": [
@@ -125,7 +127,7 @@ def test_relaxing_raises_no_command_and_no_tension(
     }
     a, b = rng.sample([motor.name for motor in hand.motor], 2)
     fault = rng.choice(FAULT_COMMANDS).format(a=a, b=b, t=rng.choice(hand.tendon_names))
-    with homed_run(hand, rate, seed, perturb, task) as simulation:
+    with homed_run(hand, rate, seed, parameter_factors, task) as simulation:
         advance_to_stage(simulation, rng.choice((FREE_MOTION_STAGE, GRASP_STAGE)))
         for _ in range(int(rng.uniform(0.0, 3.0) * rate)):
             simulation.run_tick()

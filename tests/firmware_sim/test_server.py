@@ -72,7 +72,7 @@ class SimulatorServerBench:
         """Set the clock, let the server process received frames in one pass of its loop, and return the sent frames."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(received_frames), []
-        self.server.turn()
+        self.server.serve_once()
         return self.wire.sent
 
 
@@ -157,7 +157,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
         clock,
     )
     controller = HubClientPort("t", 0)
-    server.turn()
+    server.serve_once()
     answer = server._send_answers
 
     def send_during_step(frames: list[Frame]) -> None:
@@ -169,9 +169,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     server._send_answers = send_during_step  # type: ignore[method-assign]
     controller.send([Frame(1, ENABLE_PAYLOAD)])
     clock.sent = 1
-    server.turn()
+    server.serve_once()
     assert clock.answered == 0
-    server.turn()
+    server.serve_once()
     assert clock.answered == 2
     controller.close()
     port.close()

@@ -53,7 +53,7 @@ class TimedBus:
     def run_until(self, time_ms: float) -> list[Frame]:
         self.clock.t_ns = START_NS + round(time_ms * NS_PER_MS)
         for _ in range(30):
-            self.server.turn()
+            self.server.serve_once()
             if self.port.due_ns > self.clock.t_ns:
                 break
         return self.host.drain()
@@ -126,11 +126,11 @@ def test_a_full_queue_refuses_at_once(timed_bus: TimedBus) -> None:
     frames = [Frame(0x700 + n, b"") for n in range(20)]
     assert timed_bus.host.send(frames) == 8
     assert timed_bus.host.take_events() == [("enobufs", "local:lab", 12)]
-    timed_bus.server.turn()
+    timed_bus.server.serve_once()
     assert timed_bus.host.send(frames) == 0, "no frame has left the queue"
     timed_bus.host.take_events()
     timed_bus.clock.t_ns += round(3 * frame_time_us(0) * 1000)
-    timed_bus.server.turn()
+    timed_bus.server.serve_once()
     assert timed_bus.host.send(frames) == 3, (
         "three frames have left the queue, which the host sees without reading"
     )
@@ -154,10 +154,10 @@ def test_a_host_that_has_not_read_yet_learns_of_refusals_later(timed_bus: TimedB
 def test_frames_received_while_sending_are_not_lost(timed_bus: TimedBus) -> None:
     timed_bus.run_until(0.0)
     timed_bus.host.send([Frame(REGISTERS_ID, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
-    timed_bus.server.turn()
+    timed_bus.server.serve_once()
     timed_bus.clock.t_ns += round(2.5 * frame_time_us(8) * 1000)
     for _ in range(30):
-        timed_bus.server.turn()
+        timed_bus.server.serve_once()
     assert timed_bus.host.send([Frame(0x700, b"")] * 8) < 8
     assert [frame.can_id for frame in timed_bus.host.drain()] == [0x11]
 

@@ -86,13 +86,13 @@ class SyntheticRunTicks:
         self._hash = hashlib.blake2b(digest_size=8)
 
     def __iter__(self) -> Iterator[tuple[TickIn, TickOut]]:
-        previous = ""
+        previous_phase = ""
         for k in range(self.ticks):
             fraction = k / max(self.ticks, 1)
             telemetry = self._telemetry(k, fraction)
             phase = _phase_name_at(fraction)
             tick_in = self._tick_input(k, telemetry)
-            events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
+            events = (TickEvent("info", "phase", "", phase),) if phase != previous_phase else ()
             if k == self.ticks // 3:
                 events += (TickEvent("info", "gain", "motion.position_error_m", "0.0008"),)
             if k == self.ticks // 2:
@@ -101,7 +101,7 @@ class SyntheticRunTicks:
                         "warn", "contact", self.run.digits[0], "touched earlier than planned"
                     ),
                 )
-            previous = phase
+            previous_phase = phase
             mode = (
                 HandMode.READY
                 if fraction < 0.02

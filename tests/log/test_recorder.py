@@ -171,9 +171,9 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.warning
         assert log.gaps == []
-        lost = len(records) - len(log)
+        lost_record_count = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
-    assert lost * 0.001 <= 0.25 + (kill_time_s - started - tick_count * 0.001)
+    assert lost_record_count * 0.001 <= 0.25 + (kill_time_s - started - tick_count * 0.001)
     assert not recorder.send_record(records[0])
     assert IoEvent("recorder", "gone") in recorder.take_events()
     assert recorder.take_events() == ()

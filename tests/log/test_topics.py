@@ -306,10 +306,10 @@ def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
             assert np.isnan(cycle.period)
         else:
             assert cycle.period == pytest.approx(start - last_tick_and_start[1])
-            received = [frame.t_ns * 1e-9 - last_tick_and_start[1] for frame in tick_in.frames]
+            reply_times_s = [frame.t_ns * 1e-9 - last_tick_and_start[1] for frame in tick_in.frames]
             assert (
-                cycle.last_reply == pytest.approx(max(received), abs=1e-12)
-                if received
+                cycle.last_reply == pytest.approx(max(reply_times_s), abs=1e-12)
+                if reply_times_s
                 else np.isnan(cycle.last_reply)
             )
         last_tick_and_start = tick_in.k, start

@@ -50,8 +50,8 @@ class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
     ``state_values`` contains the values of the state that differ from a hand at rest. For each
-    changed field, ``state_values`` contains a dictionary from an index to a number. The input
-    contains events of the buses and of the host, too.
+    changed field, ``state_values`` contains a dictionary from an index to a number. ``reports``
+    contains events of the buses and of the host.
     """
 
     state_values: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -86,8 +86,8 @@ class FaultCase(NamedTuple):
 def state_input(**values_by_field: object) -> TickInput:
     """Return an input of the safety monitor, with the given values in the named fields of the state.
 
-    If a field of the state applies to the whole run, its value is a single number. If a field has
-    one number for each index, its value is a dictionary from an index to a number.
+    If a field of the state applies to the whole run, the argument is a single number. If a field is
+    an array, the argument is a dictionary from an array index to a number.
     """
     return TickInput(
         {name: c if isinstance(c, dict) else {...: c} for name, c in values_by_field.items()}
@@ -207,7 +207,8 @@ def input_without_torque(tick_input: TickInput) -> TickInput:
 def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
     """Return an input with a slack tendon.
 
-    The tendon was slack in the previous ``earlier_slack_ticks`` ticks, too.
+    The tendon is slack in the present tick, and was slack in the ``earlier_slack_ticks`` previous
+    ticks.
     """
     return state_input(
         slack_ticks={tendon_index: earlier_slack_ticks},

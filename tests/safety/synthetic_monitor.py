@@ -144,12 +144,12 @@ class SyntheticMonitor:
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:
-        """Set constants of the hand that are given by field name."""
+        """Set the named constants of the hand to the given values."""
         for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
     def set_state_values(self, value_by_field: StateValues) -> None:
-        """Set values of the state that are given by field name."""
+        """Set the named fields of the state to the given values."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
                 for index, element in value.items():
@@ -171,9 +171,9 @@ class SyntheticMonitor:
         Only the field ``fault_ticks`` keeps its values: the number of ticks for which each fault
         has been present.
         """
-        present = self.view("fault_ticks").copy()
+        fault_ticks = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
-        self.set_state_values({"fault_ticks": present})
+        self.set_state_values({"fault_ticks": fault_ticks})
 
     @property
     def state_tables(self) -> StateTables:

@@ -77,16 +77,16 @@ def check_fault_alone(
     for tick_input in tick_inputs:
         verdict = monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
         fault_rows = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
-        present = [int(monitor.view("fault_ticks")[row].max()) for row in fault_rows]
-        present += [
+        ticks_present = [int(monitor.view("fault_ticks")[row].max()) for row in fault_rows]
+        ticks_present += [
             reported_fault.ticks
             for reported_fault in verdict.reported_faults
             if reported_fault.id == fault_id
         ]
-        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce_ticks or fault_id in {
-            mark.id for mark in verdict.latched_faults
-        }
-        actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
+        is_debounced = max(ticks_present, default=0) >= FAULT_BY_ID[
+            fault_id
+        ].debounce_ticks or fault_id in {mark.id for mark in verdict.latched_faults}
+        actions.append(FAULT_BY_ID[fault_id].action if is_debounced else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
         reported += [(f.fault.id, f.part_name) for f in verdict.findings if f.fault.id == fault_id]
     return monitor, actions, reported
@@ -240,19 +240,19 @@ of the loop.
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
-    relaxing = {
+    relax_method_by_fault = {
         fault_row.id: fault_row.relax_method
         for fault_row in FAULT_TABLE
         if fault_row.action >= SafetyAction.RELAX
     }
     assert {
         relaxing_fault
-        for relaxing_fault, release in relaxing.items()
+        for relaxing_fault, release in relax_method_by_fault.items()
         if release is RelaxMethod.OPEN_LOOP
     } == FAULTS_OF_TENSION_LOOP
     assert {
         relaxing_fault
-        for relaxing_fault, release in relaxing.items()
+        for relaxing_fault, release in relax_method_by_fault.items()
         if release is RelaxMethod.FAST_TENSION_LOOP
     } == {
         "T03",
@@ -282,12 +282,12 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
     for release in (RelaxMethod.FAST_TENSION_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that disables the motors at once does not relax the hand.
-        relaxing = {
+        relaxing_faults = {
             fault_row.id
             for fault_row in FAULT_TABLE
             if fault_row.relax_method is release and fault_row.action is SafetyAction.RELAX
         }
-        assert listed[release.value] == relaxing
+        assert listed[release.value] == relaxing_faults
 
 
 def test_a_fault_is_either_found_or_reported() -> None:

@@ -47,13 +47,15 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
 class LostFrameWindows(SyntheticMonitor):
     """Safety monitor of a motor and a load cell, with a window of lost frames for each of them.
 
-    A window of lost frames is a number with one bit per tick. A bit is set if the frame of its tick
-    was lost.
+    A window of lost frames is an integer in which each bit stands for one tick. A bit is 1 if the
+    frame of its tick was lost.
     """
 
-    def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
+    def __init__(
+        self, motor_loss_window: int = 0, cell_loss_window: int = 0, **constants: Any
+    ) -> None:
         super().__init__(synthetic_limits(1), **constants)
-        pairs = (loss_window_words(motor_losses), loss_window_words(cell_losses))
+        pairs = (loss_window_words(motor_loss_window), loss_window_words(cell_loss_window))
         self.set_state_values(
             {
                 "lost": {
@@ -81,9 +83,10 @@ class LostFrameWindows(SyntheticMonitor):
     @property
     def loss_windows(self) -> tuple[int, int]:
         """Return the lost frames of the motor and of the load cells, with one bit for each tick."""
-        lost = self.view("lost")
+        lost_words = self.view("lost")
         return tuple(
-            int(lost[1, node]) << frame_losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
+            int(lost_words[1, node]) << frame_losses.BITS_PER_WORD | int(lost_words[0, node])
+            for node in (0, 1)
         )  # type: ignore
 
 
@@ -110,9 +113,9 @@ def test_window_shifts_by_one_bit_per_tick(windows_before, missing_replies, wind
 
 
 def test_lost_replies_are_counted_per_window():
-    window = LostFrameWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
+    monitor = LostFrameWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
     assert [
-        call_interpreted(frame_losses.count_lost_replies, window.state_tables, node)
+        call_interpreted(frame_losses.count_lost_replies, monitor.state_tables, node)
         for node in (0, 1)
     ] == [
         3,
@@ -125,9 +128,9 @@ def test_lost_replies_are_counted_per_window():
         ((1 << 62) - 1, 62),
     ):
         assert call_interpreted(frame_losses.count_set_bits, number) == set_bit_count
-    window.set_state_values({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
-    window.tick({"misread_now": 1})
-    assert window.field_values("misshapen") == [0b11, 0b11], (
+    monitor.set_state_values({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
+    monitor.tick({"misread_now": 1})
+    assert monitor.field_values("misshapen") == [0b11, 0b11], (
         "so many of the last ticks, and no longer"
     )
 
@@ -154,9 +157,9 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
     def unknown_frame_count(
         unknown_count: float, new_unknown_frames: int = 0, control_rate_hz: float = 100.0
     ) -> float:
-        window = LostFrameWindows(period=1.0 / control_rate_hz)
-        window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown_count)
-        return float(window.view("unknown").item())
+        monitor = LostFrameWindows(period=1.0 / control_rate_hz)
+        monitor.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown_count)
+        return float(monitor.view("unknown").item())
 
     assert unknown_frame_count(0.0, 3) == 3.0
     assert unknown_frame_count(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
@@ -172,17 +175,17 @@ def refusal_counter(control_rate_hz: float) -> Any:
     and the index of the tick. The returned function returns the ticks of all refusals in the last
     second.
     """
-    window = LostFrameWindows()
-    state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
+    monitor = LostFrameWindows()
+    state = ControllerState(monitor.layout, monitor.block, ControllerDecisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / control_rate_hz))
 
     def count_refusals(refused_count: int, tick_index: int) -> tuple[int, ...]:
-        window.set_state_values({"k": tick_index})
+        monitor.set_state_values({"k": tick_index})
         Controller._count_refusals(
             controller, state, (TickEvent("warn", "request", "", ""),) * refused_count
         )
         recent_refusals = state.decisions.refusals
-        assert int(window.view("refused").item()) == len(recent_refusals)
+        assert int(monitor.view("refused").item()) == len(recent_refusals)
         return recent_refusals
 
     return count_refusals
@@ -197,12 +200,12 @@ def test_refused_goals_are_those_of_the_last_second():
 
 
 def test_lost_and_malformed_replies_are_counted_separately():
-    window = LostFrameWindows()
-    window.set_state_values({"misread_now": {1: 1}})
-    assert window.run_tick_without_replies(is_motor_missing=True) == (1, 0)
-    assert window.field_values("misshapen") == [0, 1]
-    assert window.run_tick_without_replies(misread_now=0) == (2, 0)
-    assert window.field_values("misshapen") == [0, 2]
+    monitor = LostFrameWindows()
+    monitor.set_state_values({"misread_now": {1: 1}})
+    assert monitor.run_tick_without_replies(is_motor_missing=True) == (1, 0)
+    assert monitor.field_values("misshapen") == [0, 1]
+    assert monitor.run_tick_without_replies(misread_now=0) == (2, 0)
+    assert monitor.field_values("misshapen") == [0, 2]
 
 
 class PositionJumpMonitor(SyntheticMonitor):

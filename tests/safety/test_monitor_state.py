@@ -501,7 +501,8 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
 def test_each_joint_is_checked_with_its_own_tendons():
     """Tendon b moves joint b.
 
-    Even if tendon a is slack, the angle of joint b is still compared with tendon b.
+    While tendon a is slack, the monitor continues to compare the angle of joint b with the motion
+    of tendon b.
     """
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
@@ -530,8 +531,9 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    If the drive replies in time, the reading after the gap arrives in the first tick after the gap.
-    If the drive replies one tick late, the reading arrives in the second tick after the gap.
+    If the drive replies in time, the reading with the motion of five ticks arrives in the first
+    tick after the missing readings. If the drive replies one tick late, the reading with the motion
+    of five ticks arrives in the second tick.
     """
 
     def noise_and_balance_after_gap(missed_ticks):

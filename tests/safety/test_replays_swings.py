@@ -96,8 +96,8 @@ def test_a_missing_reading_is_no_repetition() -> None:
 def first_oscillation(tension_deviation: np.ndarray, period_s: float) -> tuple[float, float]:
     """Return the time of the first reported oscillation [s], and the RMS of the oscillation [N].
 
-    ``tension_deviation`` is the signal that is checked. If no oscillation is reported, the time is
-    -1.
+    The monitor searches the signal ``tension_deviation`` [N] for oscillations. If no oscillation is
+    reported, the time is -1.
     """
     monitor = SyntheticMonitor(synthetic_limits(2), period=period_s)
     for k, value in enumerate(tension_deviation):

@@ -121,7 +121,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
 def test_a_snapped_tendon_is_detected(
     ticks_since_taut, cell_tension_N, commanded_tension_N, spool_speed, is_detected
 ):
-    """In this test, the first tendon of a digit is taut, and the second tendon can be neither slack nor taut.
+    """Test a digit whose first tendon is taut. In some cases, the second tendon is neither slack nor taut.
 
     If a tendon is neither slack nor taut, the detector continues to count the ticks since the
     tendon was last taut.
@@ -309,9 +309,9 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 ):
     """If a drive keeps its torque after it was disabled, the controller detects this fault from the reported torque.
 
-    Reproduce two defects. For a tendon without a load cell, the fault N16 (a drive does not
-    release) was never reported. For a tendon with a load cell, N16 was not reported if the drive
-    kept a force of 9 N.
+    Reproduce two defects. At a tendon without a load cell, the controller never reported a drive
+    that did not release (fault N16). At a tendon with a load cell, the controller did not report a
+    drive that kept a force of 9 N.
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(cell_group=cell_group)

@@ -155,16 +155,18 @@ def test_a_load_cell_that_is_wrong_is_seen_within_a_second(cell_drift_N):
     assert state.unexplained_tension > 10.0
 
 
-@pytest.mark.parametrize(("excess", "found"), [(35.0, False), (45.0, True), (-45.0, False)])
+@pytest.mark.parametrize(
+    ("excess_tension_N", "found"), [(35.0, False), (45.0, True), (-45.0, False)]
+)
 def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
-    excess: float, found: bool
+    excess_tension_N: float, found: bool
 ) -> None:
     """The output of the filter reaches 63 % of a tension step after 20 ms.
 
     Friction explains 3 N of the tension, and the tolerance of the torque constant explains 1.5 N. A
     tension that is too small does not count as excess tension.
     """
-    state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
+    state = residuals_after(0.02, lambda t: 24.0 + excess_tension_N, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found
 
 

@@ -42,10 +42,7 @@ class TorqueReportMonitor(SyntheticMonitor):
 
     @property
     def reported_torque_fractions(self) -> list[float]:
-        """Return one fraction for each motor.
-
-        The fraction is the part of a command change that appears in the torque reports.
-        """
+        """Return, for each motor, the fraction of a command change that appears in the torque reports."""
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
         ]
@@ -158,7 +155,7 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (COMMAND_TICK_COUNT, 2) [N], and the torque that healthy drives report [N].
+    """Return commanded motor forces and the forces that healthy drives report, both (COMMAND_TICK_COUNT, 2) [N].
 
     The bus sometimes transmits no frames for one to five ticks, while the commands continue to
     change. After a time without frames, the first reports still show the last command that a drive

@@ -115,14 +115,14 @@ def _html_table(
 
 def _html_row(result: ScenarioResult, rate_hz: float, scenario_count: int) -> str:
     failure_class = "" if result.ok else " bad"
-    width = BAR_WIDTH_EM * min(reaction_time_ratio(result), 1.0)
+    bar_width_em = BAR_WIDTH_EM * min(reaction_time_ratio(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
     reaction_time_text = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
         f"<td>{result.id}</td><td>{html.escape(TITLE_BY_FAULT_ID[result.id])}</td><td class=n>{scenario_count}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
         f"<td class=n>{reaction_time_text}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
-        f'<td><span class="bar{failure_class}" style="width:{width:.2f}em"></span></td>',
+        f'<td><span class="bar{failure_class}" style="width:{bar_width_em:.2f}em"></span></td>',
         f"<td class=n>{result.tension:.0f} of {result.tension_bound:.0f} N</td>",
         f"<td class=bad>{html.escape(result.problem)}</td>",
     ]

@@ -422,11 +422,12 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
-    comes first. The second fault starts a few ticks later. The first fault affects the first part
-    of the hand that it can affect, such as the first motor. The second fault affects the last part
-    of the hand that it can affect. Some faults can affect only parts that the hand does not have,
-    for example load cells. The function leaves out every pair that contains a fault of a missing
-    part. `period_ms` is the control period [ms].
+    comes first. The second fault starts a few ticks later. Most faults can affect several parts of
+    the hand, for example any one of the motors. The first fault is injected into the first part
+    that this fault can affect. The second fault is injected into the last part that the second
+    fault can affect. Some faults can affect only parts that the hand does not have, for example
+    load cells. The function leaves out every pair that contains a fault of a missing part.
+    `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

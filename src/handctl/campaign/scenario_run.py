@@ -292,9 +292,10 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        Before the first effect of the fault, the method returns -1. If the detection needs a
-        varying motor force, the method returns the time of the present tick until the force has
-        varied enough. For all other faults, the reaction time counts from the first effect.
+        Before the first effect of the fault, the method returns -1. If the fault can be detected at
+        a constant motor force, the reaction time counts from the first effect. Otherwise, the
+        reaction time counts from the tick in which the motor force has varied enough. Before this
+        tick, the method returns the time of the present tick.
 
         Args:
             simulation: simulation after the present tick.
@@ -415,15 +416,15 @@ class HostFault:
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation has to execute the i-th tick after the start of the fault."""
-        is_first = i == 0
+        is_first_tick = i == 0
         if self.kind == "io":
-            if not is_first and "lasting" not in self.words:
+            if not is_first_tick and "lasting" not in self.words:
                 return {}
             location = (
                 self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
             )
             return {"io_events": (IoEvent(self.words[0], location),)}
-        if not is_first:
+        if not is_first_tick:
             return {}
         if self.kind == "skip":
             return {"skipped_ticks": int(self.words[0])}

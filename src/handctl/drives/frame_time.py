@@ -5,7 +5,7 @@ The computation uses the longest possible duration of each frame, with all stuff
     classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
-The two rows of the table above count the bits of a frame with an 11-bit identifier and n data
+The table gives the number of bits in each part of a frame with an 11-bit identifier and n data
 bytes. A 29-bit identifier adds SRR, IDE and 18 bits. The bits of a 29-bit identifier are exposed to
 stuffing. The last 13 bits of a frame are CRC delimiter, acknowledge, end of frame, and interframe
 space. Source: ISO 11898-1.

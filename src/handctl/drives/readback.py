@@ -2,8 +2,8 @@
 
 The host reads each setting of a drive. If a setting has a wrong value, the host writes the setting
 and reads it again. All drive protocols share the ``ReadbackCursor``, which is a position in the
-list of settings. The code of a protocol adds the payload of each request, and recognises the reply
-to the latest request.
+list of settings. For each protocol, separate code encodes the payload of a request, and recognises
+the reply to the latest request.
 
 The torque limit and the watchdog in the drive protect the hand even if the host fails. A drive can
 restart within a few milliseconds, and can then be enabled again. After a restart, the drive has its

@@ -186,7 +186,7 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
 def state_when_off(
     state: DriveState, has_dropped_out: bool, error_code: int, error_text: str
 ) -> DriveState:
-    """Return the drive state after the drive has reported that it is off, without an error.
+    """Return the drive state after the drive has reported that it is off and that it has no error.
 
     The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``errors_to_ignore``, ``is_disabling``
     and ``disable_command_ns``.

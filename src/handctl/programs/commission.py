@@ -16,8 +16,8 @@ these excursions from the motor zeros.
 
 Load cells drift while many tendons are pulled one by one. Therefore all motors are without torque
 for a moment before each pull. The load-cell readings without torque are the reference for the
-responses of all load cells. From these readings, the program also renews the tare of the next
-tendon.
+responses of all load cells. The program also renews the tare of the next tendon from its load-cell
+reading without torque.
 """
 
 from collections.abc import Sequence
@@ -468,7 +468,7 @@ def _tare_text(model: HandModel) -> str:
 
 
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
-    """Return the text of an accepted response to the pull of tendon i.
+    """Return the event text after tendon i was pulled and has responded correctly.
 
     Only load cells can show that a wrong tendon was pulled. If no tendon except tendon i has a load
     cell, the text states that swapped tendons are not checked.
@@ -491,7 +491,7 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
     """Return a text with the probable reason why the load cell of the pulled tendon does not respond.
 
-    If another load cell responds instead, the text names the tendon of that load cell.
+    If the load cell of another tendon responds, the text names that tendon.
     """
     measured_tensions = np.nan_to_num(measured.tension)
     other_tendon = int(measured_tensions.argmax())
@@ -528,7 +528,7 @@ def _measured_or_estimated_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
+    """Return the name of the phase in which tendon i pulls together with all other tendons of the same digit."""
     return f"hold {model.hand.digit_names[model.digit_of_tendon[i]]}"
 
 

@@ -176,12 +176,12 @@ def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
     The factors have the mean 1, and are as near to 1 as possible. Return None if a factor is below
     ``MIN_FORCE_BALANCE_FACTOR``.
     """
-    directions = _flexion_directions(hand)
-    rows = np.array(list(directions.values()))
+    flexion_directions = _flexion_directions(hand)
+    rows = np.array(list(flexion_directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
     if factors.min() < MIN_FORCE_BALANCE_FACTOR:
         return None
-    return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
+    return dict(zip(flexion_directions, (factors / factors.mean()).tolist(), strict=True))
 
 
 def _flexion_directions(hand: Hand) -> dict[str, Array]:
@@ -200,9 +200,12 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
 def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
     """Return, for each closing digit, True if the digit closes in the direction opposite to the first closing digit."""
-    directions = _flexion_directions(hand)
-    first_direction = next(iter(directions.values()))
-    return {name: bool(direction @ first_direction < 0.0) for name, direction in directions.items()}
+    flexion_directions = _flexion_directions(hand)
+    first_direction = next(iter(flexion_directions.values()))
+    return {
+        name: bool(direction @ first_direction < 0.0)
+        for name, direction in flexion_directions.items()
+    }
 
 
 def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
@@ -286,14 +289,14 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 
 def _digits_flexing_away(hand: Hand) -> list[str]:
     """Return the closing digits that flex away from the mount positions of all other closing digits."""
-    directions = _flexion_directions(hand)
+    flexion_directions = _flexion_directions(hand)
     points = LinkTree.from_hand(hand).points(np.zeros(len(hand.joints)))
     first_point = dict(
         zip(hand.digit_names, (digit_points[0] for digit_points in points), strict=True)
     )
-    mount_positions = {name: first_point[name] for name in directions}
+    mount_positions = {name: first_point[name] for name in flexion_directions}
     names = []
-    for name, direction in directions.items():
+    for name, direction in flexion_directions.items():
         distances = [
             (position - mount_positions[name]) @ direction
             for other_name, position in mount_positions.items()
@@ -314,14 +317,16 @@ def default_scene(hand: Hand) -> str:
     would touch each other. If the digits of a hand cannot press against each other, as in an
     anthropomorphic hand, the object has a diameter of 35 mm.
     """
-    directions = _flexion_directions(hand)
+    flexion_directions = _flexion_directions(hand)
     are_digits_parallel = all(
-        abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values()
+        abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in flexion_directions.values()
     )
     if not are_digits_parallel and _force_balance_factors(hand) is None:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
-    longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
+    longest_digit_mm = 1e3 * max(
+        sum(hand.digit_named(name).link_length_m) for name in flexion_directions
+    )
     free_space_mm = 1e3 * _largest_object_diameter(hand, is_ball=shape == SPHERE_SCENE)
     diameter = max(
         SMALLEST_OBJECT_MM,

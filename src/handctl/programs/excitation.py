@@ -188,7 +188,7 @@ def _with_slack_readings(
     measurements: TickMeasurements,
     excited_tendons: slice,
 ) -> ProgramProgress:
-    """Return a copy of the progress whose record includes the load-cell readings of slack tendons in this tick.
+    """Add the load-cell readings of slack tendons in this tick to the record. Return the new progress.
 
     The record is a table (2, N). The first row contains the sum of the load-cell readings of each
     tendon [N]. The second row contains the number of readings in each sum. The readings of the

@@ -96,9 +96,9 @@ class ExerciseStage:
 
 
 def move_amplitude(angle: float) -> float:
-    """Return the amplitude of the exercise that moves the joints to a given angle.
+    """Return the amplitude of the exercise that moves the joints to a given angle [rad].
 
-    The angle is in rad. An amplitude of 1 is a full move.
+    At an amplitude of 1, the joints move by ``FULL_MOVE_RAD``.
     """
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
 
@@ -239,10 +239,11 @@ class ExerciseProgram:
 
 
 def largest_exercise(hand: Hand) -> tuple[float, tuple[tuple[str, ...], ...]]:
-    """Return the largest amplitude at which the digits of a hand stay clear of each other, and the turns.
+    """Return the largest amplitude at which the digits do not touch, and the digits that move in each turn.
 
-    If no amplitude is small enough, the result is the full amplitude: then the digits touch each
-    other, and the tracking errors of these digits are not evaluated.
+    If all digits move together, there are no turns. If the digits touch each other at every
+    amplitude, the function returns the full amplitude. The tracking errors of touching digits are
+    not evaluated.
     """
     digit_names = tuple(name for name in hand.digit_names if name not in hand.carrier_digits)
     common_amplitude = _clear_amplitude(hand, digit_names)

@@ -347,7 +347,7 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a move that begins at the digit's present motion reference (3, n): position, rate and acceleration.
 
-    Without a reference, the move begins at the estimated coordinates.
+    If the digit has no motion reference, the move begins at the estimated coordinates.
     """
     if start_coordinates is None:
         return goal_to_move_to_angle(model.digits[d], estimate, end_coordinates, duration, t)

@@ -146,9 +146,9 @@ def pull_tensions(
     """Return the tensions (n_t,) [N] for digit d under tension control.
 
     If a single tension is given, the closing tendons get the given tension, and their antagonists
-    get the tensions that balance the digit. For a digit with spool pairs, the given tension is the
-    largest net tension of the pairs, and the digit presses with its tip. If a tension is given for
-    each tendon, the function returns the given tensions.
+    get the tensions that balance the digit. A digit with spool pairs presses with its tip. The
+    largest net tension of its spool pairs is the given tension. If a tension is given for each
+    tendon, the function returns the given tensions.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -168,7 +168,8 @@ def tension_goal(
 ) -> DigitGoal:
     """Return the goal with which the tensions of digit d approach given tensions (n_t,) [N] at a given rate [N/s].
 
-    The joints that spool pairs move sideways stay at their present angles.
+    Some spool pairs move a digit sideways. The joints of these spool pairs stay at their present
+    angles.
     """
     if model.redundancy.closing_sign[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)

@@ -285,7 +285,7 @@ def is_routine_request(request: TickRequest) -> bool:
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:
-    """Return the target in a request.
+    """Return the streamed target that a request contains.
 
     Return None if the request contains no target, or an integer of more than 64 bits.
     """

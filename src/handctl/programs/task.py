@@ -383,9 +383,10 @@ Value = TypeVar("Value")
 
 
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value of a phase for a digit.
+    """Select the value that a task phase gives for a digit.
 
-    Return None if the phase contains values only for other digits.
+    The phase gives one number for all digits, or a dictionary with a value for each named digit.
+    Return None if the dictionary does not name the digit.
     """
     return value.get(digit) if isinstance(value, dict) else float(value)
 

@@ -11,9 +11,9 @@ from handctl.session.default_hand import DEFAULT_HAND
 def parse_bus_arguments(bus_arguments: Sequence[str]) -> dict[str, str]:
     """Return the specification of each bus by its name.
 
-    The specifications come from the words after ``--bus``. A word has the form NAME=SPEC, or is
-    only the specification SPEC. A bus without a name is named after its position in the command:
-    main, bus1, bus2.
+    The specifications come from the command line. Each argument of ``--bus`` is either a
+    specification SPEC, or a bus name with a specification, NAME=SPEC. A bus without a name is named
+    after its position in the command: main, bus1, bus2.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.

@@ -241,8 +241,8 @@ class SimulatedRun:
     def run_until(self, is_condition_met: Callable[[TickOut], bool], timeout_s: float) -> bool:
         """Run ticks until the output of a tick fulfils a condition.
 
-        The method runs ticks for at most ``timeout_s`` [s]. Return True if an output fulfilled the
-        condition.
+        The method runs ticks for at most ``timeout_s`` [s]. Return True if the output of a tick has
+        fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             tick_output = self.run_tick()
@@ -301,8 +301,8 @@ def simulate_controller(
 ) -> ControllerState:
     """Run a controller with a simulated hand until the controller is done.
 
-    While the reaction to a fault is HOLD, the time of the program stops. Without a limit, a run
-    with such a fault might never end.
+    While the reaction to a fault is HOLD, the time of the program stops. Without a time limit, a
+    run in which a fault causes HOLD might never end.
 
     Args:
         controller: controller with its program.

@@ -259,7 +259,7 @@ def run_lockstep(
 def _start_recording(
     plan: RunPlan, log: Path, header: RunHeader, cleanup_stack: ExitStack
 ) -> tuple[Recorder, OperatorDisplay | None]:
-    """Start the recorder of a run. If the plan has a display, start the display too.
+    """Start the recorder of a run. If the plan of the run contains an operator display, also start the display.
 
     Args:
         plan: plan of the run.

@@ -86,7 +86,7 @@ class RunPlan:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True if the plan has buses, and none of them can have real motors."""
+        """Return True if the run uses buses, but no bus to which real motors may be connected."""
         return bool(self.buses) and not real_buses(self.buses)
 
 

@@ -50,13 +50,14 @@ class LoadCellAmplifier:
         bus: index of the bus of the amplifier.
         node_id: node number, from 1 to 0x7e.
         tpdo_ids: identifiers of the frames with tensions from the amplifier.
-        steps: objects of the amplifier, with the values that the objects must have before arming.
+        setup_steps: objects of the amplifier, with the values that the objects must have before
+            arming.
     """
 
     bus: int
     node_id: int
     tpdo_ids: tuple[int, ...]
-    steps: tuple[setup.SetupStep, ...]
+    setup_steps: tuple[setup.SetupStep, ...]
 
     def initial_state(self) -> AmplifierState:
         """Return the state of the amplifier before the first frame."""
@@ -89,7 +90,7 @@ class LoadCellAmplifier:
 
         A TPDO or a heartbeat has an effect only if the host has set up and started the amplifier.
         """
-        if state.cursor.step < len(self.steps) or state.started_ns < 0:
+        if state.cursor.step < len(self.setup_steps) or state.started_ns < 0:
             return state
         return state._replace(phase=READY, error_text="")
 
@@ -107,9 +108,9 @@ class LoadCellAmplifier:
     def _on_sdo_reply(self, state: AmplifierState, data: bytes) -> AmplifierState:
         """Return the amplifier state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
-        if reply is None or state.cursor.step >= len(self.steps):
+        if reply is None or state.cursor.step >= len(self.setup_steps):
             return state
-        cursor, _, problem = setup.on_reply(state.cursor, self.steps, reply)
+        cursor, _, problem = setup.on_reply(state.cursor, self.setup_steps, reply)
         next_state = state._replace(phase=CONFIGURING, cursor=cursor)
         return (
             next_state._replace(phase=DrivePhase.FAULT, error_text=problem)
@@ -126,7 +127,7 @@ class LoadCellAmplifier:
         """
         if target != DriveTarget.POLL or state.phase in (READY, DrivePhase.FAULT):
             return state, ()
-        if state.cursor.step < len(self.steps):
+        if state.cursor.step < len(self.setup_steps):
             return self._configure(state, t_ns)
         if t_ns - state.started_ns < REPEAT_PERIOD_NS:
             return state, ()
@@ -142,7 +143,7 @@ class LoadCellAmplifier:
 
         Before the first SDO request, the host sends the NMT command pre-operational.
         """
-        cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
+        cursor, data, problem = setup.next_request(state.cursor, self.setup_steps, t_ns)
         next_state = state._replace(cursor=cursor)
         if problem:
             return next_state._replace(phase=DrivePhase.FAULT, error_text=problem), ()

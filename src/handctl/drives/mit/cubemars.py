@@ -312,7 +312,7 @@ class CubemarsDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return the status that the feedback of an enabled motor without an error contains.
 
-        The status consists of the byte with the node number, and the byte with error 0.
+        The high byte of the status is the node number. The low byte is the error code 0.
         """
         progress: CubemarsProgress = state.protocol_state
         is_steady = (

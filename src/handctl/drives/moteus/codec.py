@@ -244,7 +244,7 @@ def command_message(
         timeout_s: timeout of the watchdog [s].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
     """
-    no_motion = (
+    no_motion_subframes = (
         write_bytes_subframe(0x020, -128, 0)
         + write_bytes_subframe(0x023, 0, 0)
         + write_bytes_subframe(INTEGRATOR_SCALE, 0)
@@ -252,7 +252,7 @@ def command_message(
     base = (
         write_bytes_subframe(MODE, POSITION)
         + write_floats_subframe(0x022, 0.0)
-        + no_motion
+        + no_motion_subframes
         + limits_subframes(torque, timeout_s)
         + QUERY_SUBFRAMES
     )

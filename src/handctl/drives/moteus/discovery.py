@@ -86,7 +86,8 @@ def _describe_drive(
 ) -> DiscoveredNode:
     """Return the description of a discovered drive, with all data that the drive has reported.
 
-    The argument ``payloads_by_command`` contains the payloads from the drive, by register.
+    For each register number, the argument ``payloads_by_command`` contains the payloads that the
+    drive has sent.
     """
     values: dict[int, int] = {}
     for register, payloads in payloads_by_command.items():

@@ -80,8 +80,8 @@ class MoteusDrive:
         feedback: signal table of the feedback, built from the other attributes.
         configuration: configuration items that are read again while the drive is enabled. The
             configuration items are computed from the other attributes.
-        required: settings with the values that the settings must have before arming. The required
-            values are computed from the other attributes.
+        required_settings: settings with the values that the settings must have before arming. The
+            required values are computed from the other attributes.
     """
 
     name: str
@@ -96,7 +96,9 @@ class MoteusDrive:
     command: SignalTable = field(init=False, repr=False, compare=False)
     feedback: SignalTable = field(init=False, repr=False, compare=False)
     configuration: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
-    required: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
+    required_settings: tuple[items.MoteusSetting, ...] = field(
+        init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
@@ -114,9 +116,11 @@ class MoteusDrive:
             if self.gains is None
             else items.position_configuration(self.gains)
         )
-        required = items.required_settings(self.command_limit, self.timeout_s, configuration)
+        required_settings = items.required_settings(
+            self.command_limit, self.timeout_s, configuration
+        )
         object.__setattr__(self, "configuration", configuration)
-        object.__setattr__(self, "required", required)
+        object.__setattr__(self, "required_settings", required_settings)
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "MoteusDrive":
@@ -289,9 +293,9 @@ class MoteusDrive:
         if (
             state.phase == CONFIGURING
             and progress.cursor.is_waiting
-            and progress.cursor.step < len(self.required)
+            and progress.cursor.step < len(self.required_settings)
         ):
-            return self.required[progress.cursor.step]
+            return self.required_settings[progress.cursor.step]
         if state.phase == ENABLED and state.recheck.is_waiting:
             return self.configuration[state.recheck.step]
         return None
@@ -367,7 +371,7 @@ class MoteusDrive:
 
         The host requests the serial number at the end of the configuration.
         """
-        if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
+        if state.phase != CONFIGURING or progress.cursor.step < len(self.required_settings):
             return state
         words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
         return state_after_configuration(state, t_ns, words[2] << 64 | words[1] << 32 | words[0])
@@ -451,9 +455,9 @@ class MoteusDrive:
             return state._replace(
                 error_text=text, protocol_state=progress
             ), self.torque_cut_frames()
-        if progress.cursor.step >= len(self.required):
+        if progress.cursor.step >= len(self.required_settings):
             return self._request_serial(state, progress, t_ns)
-        setting = self.required[progress.cursor.step]
+        setting = self.required_settings[progress.cursor.step]
         if (
             setting.register and progress.cursor.must_write
         ):  # the drive answers the write request only with feedback

@@ -4,10 +4,10 @@ Before arming, the host reads each setting of the drive. If a setting has a wron
 writes the setting and reads it again.
 
 Torque limit and watchdog timeout are command registers. Every torque command sets both registers.
-Before the first torque command, a request that does not move the motor sets both registers. All
-other settings are configuration items, which the host reads and writes over the diagnostic text
-channel. ``conf set`` changes only the working memory of the drive. handctl sends no request that
-writes the flash.
+Before the first torque command, the host sets torque limit and watchdog timeout with a request that
+does not move the motor. All other settings are configuration items, which the host reads and writes
+over the diagnostic text channel. ``conf set`` changes only the working memory of the drive. handctl
+sends no request that writes the flash.
 
 A frame with text can be lost, and an answer can come late. Each exchange of texts must start with
 an empty text channel. After a request without an answer, the host reads the text channel until no
@@ -161,8 +161,8 @@ class DiagnosticChannel(NamedTuple):
     def next_request_payload(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
         """Return the next state of the text channel, and the payload to send.
 
-        If text of an earlier request can still arrive, the payload is a read that empties the text
-        channel. Otherwise, the payload is the request ``command``.
+        If the text channel can still contain the answer to an earlier request, the payload is a
+        read request, which removes this text. Otherwise, the payload is the request ``command``.
         """
         if not self.is_drained:
             return DiagnosticChannel(), codec.TEXT_REQUEST

@@ -108,7 +108,8 @@ class SensorInterface(Protocol):
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the sensors.
 
-        Each frame is given as (payload bytes, frames per tick). SYNC is the first frame.
+        Each kind of frame is given as a pair: payload length [bytes], and number of such frames per
+        tick. The first pair belongs to SYNC.
         """
         ...
 

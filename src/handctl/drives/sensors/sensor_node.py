@@ -263,9 +263,9 @@ class SensorNode:
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the node.
 
-        Each frame is given as (payload bytes, frames per tick). SYNC is the first frame. The node
-        sends an angle frame once in ``decimation`` ticks, so that the number of angle frames per
-        tick can be below 1.
+        Each kind of frame is given as a pair: payload length [bytes], and number of such frames per
+        tick. The first pair belongs to SYNC. The node sends an angle frame once in ``decimation``
+        ticks, so that the number of angle frames per tick can be below 1.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
             len(self.ids) - self.tension_frames
@@ -318,11 +318,11 @@ class SensorNode:
         return max(0, (sync_count - 1) * self.tension_frames - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
-        """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
+        """Return the index of the frame with a tendon's load-cell reading, or -1 if the tendon has no load cell."""
         return self.tendon_frame_indices[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:
-        """Return the index of the frame with the encoder of a joint, or -1 without an encoder."""
+        """Return the index of the frame with a joint's encoder reading, or -1 if the joint has no encoder."""
         groups = range(self.tension_frames, len(self.ids))
         return next((g for g in groups if joint_index in self.channels[g]), -1)
 
