@@ -58,10 +58,10 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction, the tension f and the angle q of each joint obey r f = k (q + q0).
+    """Test that tendon tension and spring torque balance at each joint without friction: r f = k (q + q0).
 
-    All joints have the same moment arm r, stiffness k and preload angle q0, and therefore the same
-    angle q.
+    The tendon has the tension f. All joints have the same moment arm r, stiffness k and preload
+    angle q0, and therefore the same angle q.
 
     Gravity is parallel to the joint axes, so gravity has no effect on the joints.
     """
@@ -115,7 +115,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     """With locked joints, the tension rises in proportion to the spool rotation.
 
-    The slope is k r, with the tendon stiffness k and the spool radius r.
+    The slope of the tension over the spool angle is the tendon stiffness times the spool radius.
     """
     plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)

@@ -54,8 +54,8 @@ def identify_touching_finger(
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results.
 
-    The sweeps are those of the packaged hand. Sweeps that are computed for the hand with the near
-    thumb would end before the middle finger touches the thumb.
+    The sweeps are computed for the packaged hand, whose thumb is farther away. Sweeps that are
+    computed for the hand with the near thumb would end before the middle finger touches the thumb.
     """
     path = write_near_thumb_hand(hand_name, thumb_shift_mm, hand_folder)
     steps_of_packaged_hand = excitation_steps(load_hand(hand_name), ("middle",))
@@ -85,17 +85,19 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 ) -> None:
     """Reproduce a defect: the identification accepted wrong spring stiffnesses after a contact of the digit.
 
-    Relative to the hand file, the true spring stiffness is 1.2. The identification reported 1.41
-    and 1.73, and printed no message about the contact.
+    The true spring stiffness is 1.2 times the stiffness in the hand file. The identification
+    reported 1.41 and 1.73 times this stiffness, and printed no message about the contact.
     """
-    fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
-    for result in fits.values():
+    result_by_tendon = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
+    for result in result_by_tendon.values():
         assert result.contact_text or result.blocked_event_text
         assert not set(result.identified_names) & set(SWEEP_PARAMETERS)
     true_values = true_parameters(
-        load_hand(hand), next(iter(fits)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
+        load_hand(hand),
+        next(iter(result_by_tendon)),
+        draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0),
     )
-    for result in fits.values():  # the contact does not affect the other parameters
+    for result in result_by_tendon.values():  # the contact does not affect the other parameters
         for name in set(result.identified_names) & {
             "torque_gain",
             "motor_inertia",

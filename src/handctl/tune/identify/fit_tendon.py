@@ -188,8 +188,9 @@ class TendonFitProblem:
     def _initial_stretch_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        If there are data at the open stop of the digit, the offset is estimated from these data.
-        Otherwise the estimated offset is the smallest travel in free motion.
+        If the log contains data at the open stop of the digit, the offset is estimated from these
+        data. Without data at the open stop, the estimate is the smallest travel of the tendon in
+        free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.open_stop_bins.t):

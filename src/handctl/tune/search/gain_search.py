@@ -192,7 +192,7 @@ def run_search(
 def without_uncommissionable_trials(
     plan: SearchPlan, result: SearchResult, show_trial: Callable[[SearchTrial], None]
 ) -> SearchResult:
-    """Return a result whose best trial can commission every plant.
+    """Mark trials as failed until the gains of the best trial can commission every plant, and return the result.
 
     The exercise begins with a commissioned hand, so that its score does not show whether the gains
     can commission the hand. The function commissions the plants with the gains of the best trial.
