@@ -48,10 +48,10 @@ def test_gravity_turns_and_keeps_its_new_direction() -> None:
     )
     assert stage_sequence.duration == 3.5
     assert stage_sequence.state_at(0.0).gravity == UPRIGHT_GRAVITY_M_S2
-    half = stage_sequence.state_at(0.25).gravity
-    assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), (
-        "the magnitude does not change during the turn"
-    )
+    gravity_at_half_turn = stage_sequence.state_at(0.25).gravity
+    assert gravity_at_half_turn == pytest.approx(
+        (9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))
+    ), "the magnitude does not change during the turn"
     for time in (0.5, 2.4, 2.6, 100.0):
         assert stage_sequence.state_at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
     assert [stage_sequence.state_at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]

@@ -17,7 +17,7 @@ from handctl.tune.identify.contact_detection import (
     MIN_CONTACT_SCORE,
     ResidualRamp,
     are_joints_moving,
-    steepest_ramp,
+    most_significant_ramp,
 )
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
@@ -150,19 +150,19 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def unexplained_ramp_of_line(
-    seed: int, kink_size: float, kink_start: float = 0.3
+    seed: int, kink_slope: float, kink_start: float = 0.3
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
     The generated data represent two sweeps of a digit. The data are the sum of noise and a ramp.
-    The ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
+    The ramp begins at the angle ``kink_start``, and has the slope ``kink_slope``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
-    residuals = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
+    residuals = random.normal(size=ROW_COUNT) + kink_slope * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
     line_parameters = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
-    return steepest_ramp(
+    return most_significant_ramp(
         jacobian, residuals + jacobian @ line_parameters, 0, angle, (np.ones(ROW_COUNT),)
     )
 
@@ -191,8 +191,10 @@ def test_a_kink_is_found_where_it_is(kink_start: float) -> None:
 
 
 def test_a_fit_without_a_sweep_reports_no_contact() -> None:
-    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
-    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
+    assert most_significant_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
+    assert (
+        most_significant_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
+    )
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:

@@ -61,7 +61,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 ) -> None:
     """The identification can distinguish a motor with 29 % less torque from a wrong load cell.
 
-    In this test, even a motor with high friction moves its tendon.
+    In this test, a motor with high friction still makes enough force to move its tendon.
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row

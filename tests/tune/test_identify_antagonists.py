@@ -225,7 +225,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """
     limit = HoldTimeout()
 
-    def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
+    def requests_between(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []
         for t in np.arange(begin_s, end_s, 0.1):
             event = SimpleNamespace(name="fault", text="N07 a noisy encoder: HOLD")
@@ -234,10 +234,10 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
             requests += limit.poll_requests()
         return requests
 
-    assert ticks(SafetyAction.HOLD, 0.0, 4.0) == []
-    assert ticks(SafetyAction.WARN, 4.0, 9.0) == []
+    assert requests_between(SafetyAction.HOLD, 0.0, 4.0) == []
+    assert requests_between(SafetyAction.WARN, 4.0, 9.0) == []
     limit.raise_if_stopped("a run")
-    assert ticks(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
+    assert requests_between(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
     with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
         limit.raise_if_stopped("a run")
 

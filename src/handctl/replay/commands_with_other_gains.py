@@ -105,8 +105,8 @@ def draw_commands(
     """Draw the commanded tension and motor torque of each tendon as a PNG file.
 
     The figure shows the logged commands and the commands with other gains. After the first tick
-    with a different reaction to a fault, the commands cannot be compared. In the figure, a grey
-    background marks the ticks in which the commands cannot be compared.
+    whose reaction to a fault differs from the log, the commands cannot be compared. In the figure,
+    a grey background marks all ticks without a comparison.
 
     Args:
         path: PNG file to write.

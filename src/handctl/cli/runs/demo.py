@@ -98,7 +98,7 @@ def _run_demo(args: argparse.Namespace) -> int:
     result = judge_run(plan, outcome, log, truth, task=task)
     if result["truth"] != str(truth):  # a copy of the truth file lies next to the log
         truth.unlink(missing_ok=True)
-    result |= _speed_ratio(outcome, plan, wall_time_s) if args.lockstep else {}
+    result |= _simulation_speed_fields(outcome, plan, wall_time_s) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:
         print(
@@ -190,7 +190,7 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
+def _simulation_speed_fields(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
     """Return three fields of the result: simulated time, real time, and the ratio of both.
 
     The simulated time and the real time include the commissioning of the hand.

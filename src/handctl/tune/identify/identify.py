@@ -273,12 +273,12 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
 
 
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Add information about contacts to the result of a tendon.
+    """Add the texts about a contact and about a blocked digit to the result of a tendon.
 
     A contact makes the parameters from the sweeps invalid. To detect obstacles, the controller uses
-    the springs of the hand file. If the real springs are a third stiffer than the springs in the
-    hand file, the controller reports an obstacle that does not exist. Therefore the function
-    ignores the contact event of the controller if the fit explains the whole sweep.
+    the springs of the hand file. If the real springs are stiffer than the springs in the hand file
+    by a third, the controller reports an obstacle, although no obstacle exists. Therefore the
+    function ignores the contact event of the controller if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp

@@ -2,10 +2,10 @@
 
 The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
 the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
-study and the number of the batch. Because of the batches, the result does not depend on the number
-of processes. Because of the batches, an interrupted study can also be resumed. A resumed study
-begins with the trials of the last batch that have no score yet. If a batch was only partly
-requested, the whole batch is requested again.
+study and the number of the batch. Because the size and the seed of each batch are fixed, the result
+does not depend on the number of processes. For the same reason, an interrupted study can be
+resumed. A resumed study begins with the trials of the last batch that have no score yet. If a batch
+was only partly requested, the whole batch is requested again.
 """
 
 import fcntl
