@@ -28,9 +28,9 @@ from tests.controller.synthetic_states import (
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: BlockArray, table_offsets: TableOffsets, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, constant_offsets: TableOffsets, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
-    statics.write_static_torque(constant_tables(block, table_offsets), q, torque)
+    statics.write_static_torque(constant_tables(block, constant_offsets), q, torque)
     return torque
 
 

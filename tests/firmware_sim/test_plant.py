@@ -158,7 +158,7 @@ def test_joint_stops_limit_the_angles() -> None:
     assert angles_deg.min() > -1.0
 
 
-def link_frames(plant: Plant) -> Any:
+def simulated_link_positions(plant: Plant) -> Any:
     return {
         name: np.array(plant.engine._data.body(name).xpos)
         for name in ("index_link3", "ring_link2", "thumb_link2")
@@ -173,14 +173,14 @@ def test_forward_kinematics_of_the_links() -> None:
     plant = plant_without_object()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
-    places = link_frames(plant)
+    link_positions = simulated_link_positions(plant)
     x = 0.030 * math.cos(0.3) + 0.015 * math.cos(0.7)
     y = 0.025 - 0.030 * math.sin(0.3) - 0.015 * math.sin(0.7)
-    assert places["index_link3"] == pytest.approx([x, y, 0.020], abs=1e-9)
-    assert places["ring_link2"] == pytest.approx(
+    assert link_positions["index_link3"] == pytest.approx([x, y, 0.020], abs=1e-9)
+    assert link_positions["ring_link2"] == pytest.approx(
         [0.030 * math.cos(0.3), 0.025 - 0.030 * math.sin(0.3), -0.020], abs=1e-9
     )
-    assert places["thumb_link2"] == pytest.approx(
+    assert link_positions["thumb_link2"] == pytest.approx(
         [0.015 * math.cos(0.5), -0.025 + 0.015 * math.sin(0.5), 0.0], abs=1e-9
     )
 
