@@ -178,12 +178,12 @@ def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """
     interpolated_vector = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
     length = math.hypot(*interpolated_vector)
-    end_length = math.hypot(*end)
+    magnitude_of_end = math.hypot(*end)
     # Halfway between opposite vectors, the direction is not defined, because many great circles
     # pass through both vectors.
-    if length < 1e-9 or end_length == 0.0:
+    if length < 1e-9 or magnitude_of_end == 0.0:
         return interpolated_vector[0], interpolated_vector[1], interpolated_vector[2]
     return _scaled_vector(
         (interpolated_vector[0], interpolated_vector[1], interpolated_vector[2]),
-        end_length / length,
+        magnitude_of_end / length,
     )

@@ -180,12 +180,12 @@ def control_law_command_of(state: ControllerState) -> ControlLawCommand:
 @kernel("block", "layout", "constants", "layout")
 def _tension_limits(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
 ) -> np.ndarray:
     return computed_torque.temporary_tension_limits(
-        state_tables(block, state_places), constant_tables(constants, constant_places)
+        state_tables(block, state_offsets), constant_tables(constants, constant_offsets)
     )
 
 
@@ -201,12 +201,12 @@ def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
     motion: np.ndarray,
 ) -> int:
-    x, c = state_tables(block, state_places), constant_tables(constants, constant_places)
+    x, c = state_tables(block, state_offsets), constant_tables(constants, constant_offsets)
     digit_reference.write_required_torque(x, c, motion)
     return digit_reference.write_required_tensions(x, c)
 

@@ -1,4 +1,4 @@
-"""Generate estimates, measurements and states of a hand.
+"""Generate estimates, measurements and controller states of a hand, as inputs for tests.
 
 Tests use the generated estimates instead of results of the tension filter.
 

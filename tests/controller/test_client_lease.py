@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client stops sending, the digits that it commands come to rest. If the client stays silent
-for longer, the whole hand relaxes.
+If the client stops sending, the digits that the client commands come to rest. After a longer
+silence of the client, the whole hand relaxes.
 """
 
 import json

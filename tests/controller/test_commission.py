@@ -355,7 +355,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 ) -> None:
     """The message about a refused tare names the load cell that is nearest to an end of its range.
 
-    The named load cell is not always the load cell with the largest reading.
+    The message does not name another load cell whose reading is larger.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:

@@ -170,7 +170,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 ) -> None:
     """If the length of a tendon is known, the motor encoder alone shows that the tendon will soon be taut.
 
-    The length of a tendon is known if the tendon has been taut before.
+    The filter knows the length of a slack tendon if this tendon has been taut before.
 
     The filter adds up the evidence that a slack tendon becomes taut. When a tendon counts as taut,
     the filter resets the sum of this evidence to zero.

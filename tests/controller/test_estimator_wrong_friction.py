@@ -216,8 +216,13 @@ def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     for blocks in model_of(hand).filter_design.blocks:
         for regime in (TendonRegime.FREE, TendonRegime.HELD):
             block = blocks[regime + len(TendonRegime)]
-            own_indices = np.delete(np.arange(STATE_COUNT), 5)
-            H, K = block.H[:2, own_indices], block.K[np.ix_(own_indices, [0, 1])]
-            error = block.F[np.ix_(own_indices, own_indices)] @ (np.eye(len(own_indices)) - K @ H)
+            indices_without_cell_error = np.delete(np.arange(STATE_COUNT), 5)
+            H, K = (
+                block.H[:2, indices_without_cell_error],
+                block.K[np.ix_(indices_without_cell_error, [0, 1])],
+            )
+            error = block.F[np.ix_(indices_without_cell_error, indices_without_cell_error)] @ (
+                np.eye(len(indices_without_cell_error)) - K @ H
+            )
             assert np.abs(np.linalg.eigvals(error)).max() < 1.0
             assert block.tension_variance > blocks[regime].tension_variance

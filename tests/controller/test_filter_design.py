@@ -178,7 +178,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all arrays of the filter design, and variances that were computed from these arrays."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.FILTER_DESIGN_SIZE)
-    offset_by_matrix = {
+    offset_by_matrix_name = {
         "F": h.TRANSITION_MATRIX_OFFSET,
         "B": h.INPUT_MATRIX_OFFSET,
         "K": h.KALMAN_GAIN_OFFSET,
@@ -190,7 +190,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     for blocks_of_tendon, rows in zip(model.filter_design.blocks, design, strict=True):
         for block, row in zip(blocks_of_tendon, rows, strict=True):
             for name, first_element in {
-                **offset_by_matrix,
+                **offset_by_matrix_name,
                 "tension_row": h.TENSION_ROW_OFFSET,
             }.items():
                 matrix = getattr(block, name)

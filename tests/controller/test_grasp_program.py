@@ -386,10 +386,12 @@ def test_closing_without_contact_ends_with_a_message(
     model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     run = begin_closing(model, estimate_of_taut_tendons)
-    took = run.run_until_phase("hold", estimate_of_taut_tendons)
+    closing_duration_s = run.run_until_phase("hold", estimate_of_taut_tendons)
     distance_rad = math.radians(80.0)
-    longest = 15 / 8 * distance_rad / math.radians(100.0)
-    assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
+    longest_motion_s = 15 / 8 * distance_rad / math.radians(100.0)
+    assert closing_duration_s == pytest.approx(
+        longest_motion_s + SETTLE_AFTER_CLOSE_S, abs=2 * model.period
+    )
     assert not any(run.progress.contact)
     warnings = [event.text for event in run.events if event.level == "warn"]
     assert warnings == ["hold: no digit is in contact"]

@@ -1,8 +1,8 @@
 """Test the control law with limits on the tensions.
 
 The tensions of a hand are limited while a drive is warm, and while the safety monitor holds the
-hand (HOLD). The tests also check the force that prevents a step of the command after a change of
-gains.
+hand (HOLD). Further tests check the motor force that the control law adds after a change of gains,
+so that the command has no step.
 """
 
 import numpy as np

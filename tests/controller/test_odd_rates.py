@@ -68,8 +68,8 @@ def test_innovations_have_their_predicted_variance_at_any_rate(
 ) -> None:
     """Reproduce a defect: the simulator sampled its sensors up to 0.5 ms early.
 
-    Because of the early sampling, the mean normalised innovation squared was 3 to 5 instead of 1 at
-    300, 450 and 640 Hz.
+    At 300, 450 and 640 Hz, sampling too early made the mean normalised innovation squared 3 to 5
+    instead of 1.
     """
     for seed in SIMULATOR_SEEDS:
         nis, events = mean_nis_and_events(hand_name, rate_hz, seed)

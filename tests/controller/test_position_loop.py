@@ -171,8 +171,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    The mean position target in a control period is therefore ahead of the commanded position. The
-    mean position target leads by the commanded velocity times half a control period.
+    The mean position target in a control period leads the commanded position by the commanded
+    velocity times half a control period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(

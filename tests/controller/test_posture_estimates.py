@@ -235,16 +235,16 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
 def _fuse_encoders(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
     covariance_columns: np.ndarray,
     angle_deviations: np.ndarray,
     t_ns: int,
 ) -> None:
     posture._fuse_encoders(
-        state_tables(block, state_places),
-        constant_tables(constants, constant_places),
+        state_tables(block, state_offsets),
+        constant_tables(constants, constant_offsets),
         covariance_columns,
         angle_deviations,
         t_ns,

@@ -63,10 +63,10 @@ def step_targets(
 ) -> FloatArray:
     """Return targets that jump between the lowest and the highest target."""
     hold = int(rng.integers(5, 40))
-    is_at_highest = rng.integers(0, 2, (len(times), len(lowest_targets)))[
+    is_highest_target = rng.integers(0, 2, (len(times), len(lowest_targets)))[
         np.arange(len(times)) // hold
     ]
-    return np.where(is_at_highest, highest_targets, lowest_targets)
+    return np.where(is_highest_target, highest_targets, lowest_targets)
 
 
 def sine_targets(
@@ -99,10 +99,10 @@ def random_walk_targets(
         * (np.arange(len(times)) % 2 == 0)[:, None]
     )
     targets = np.empty_like(steps_of_walk)
-    present = np.full(len(lowest_targets), 0.5)
+    position_fraction = np.full(len(lowest_targets), 0.5)
     for i, step in enumerate(steps_of_walk):
-        present = np.clip(present + step, 0.0, 1.0)
-        targets[i] = lowest_targets + present * (highest_targets - lowest_targets)
+        position_fraction = np.clip(position_fraction + step, 0.0, 1.0)
+        targets[i] = lowest_targets + position_fraction * (highest_targets - lowest_targets)
     return targets
 
 

@@ -407,7 +407,7 @@ def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield copies of the object that stores the progress of a program.
+    """Yield changed copies of ``progress``, the progress of a program.
 
     Each copy differs from the original in one attribute.
 

@@ -28,9 +28,9 @@ from tests.controller.synthetic_states import (
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: BlockArray, state_places: TableOffsets, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, constant_offsets: TableOffsets, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
-    statics.write_static_torque(constant_tables(block, state_places), q, torque)
+    statics.write_static_torque(constant_tables(block, constant_offsets), q, torque)
     return torque
 
 
@@ -62,8 +62,8 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
         for digit, tendons, angle in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
 
-            def energy(state_places: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
-                q = digit.coupling @ state_places
+            def energy(joint_coordinates: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
+                q = digit.coupling @ joint_coordinates
                 return potential_energy(digit, q) + spring_energy(digit, q)
 
             slope = np.array(
@@ -191,9 +191,9 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
 
 
 def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
-    """The test converts a normal force at the tip of a digit to the tensions that balance this force.
+    """Convert a normal force at the tip of a digit to the tensions that balance this force, and back.
 
-    From the balancing tensions, the estimator must compute the same tip force again.
+    The estimator must compute the original tip force from the tensions.
     """
     rng = np.random.default_rng(6)
     for digit in model.digits:

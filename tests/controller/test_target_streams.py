@@ -146,7 +146,7 @@ def true_angle(run: SimulatedRun) -> float:
 
 
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
-    """In this test, the client knows the motion in advance.
+    """Test the tracking error of a streamed sine, if the client knows the sine in advance.
 
     The hand reaches a streamed target only after a delay (``horizon_s``). The client knows the
     motion, so it sends the angle that the hand should have after the delay of the stream.

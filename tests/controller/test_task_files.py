@@ -59,9 +59,9 @@ JAMIA_DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
-    """The packaged tasks of this test name the digits of a Jamia hand.
+    """Check the packaged tasks with every packaged hand whose digits have the names that the tasks contain.
 
-    A task that names single joints needs a hand that has a tendon at each joint.
+    A task with targets for single joints needs a hand that has a tendon at each joint.
     """
     import handctl
 

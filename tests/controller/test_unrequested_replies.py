@@ -135,7 +135,7 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 ) -> None:
     """If two requests of the controller are open, two different replies to these requests are no fault.
 
-    The controller compares only surplus replies with an expected reply.
+    The controller compares replies only if it gets more replies than it has open requests.
     """
     if open_requests == 2:
         active_bench.modify_frames_to_host = lambda frames: [

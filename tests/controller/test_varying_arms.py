@@ -32,26 +32,26 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 @kernel("block", "layout", "block", "layout")
 def _update_structure(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
 ) -> None:
     varying_moment_arms.update_moment_arm_tables(
-        state_tables(block, state_places), constant_tables(constants, constant_places)
+        state_tables(block, state_offsets), constant_tables(constants, constant_offsets)
     )
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
 def _excursion_and_derivatives(
     block: BlockArray,
-    state_places: TableOffsets,
+    state_offsets: TableOffsets,
     constants: BlockArray,
-    constant_places: TableOffsets,
+    constant_offsets: TableOffsets,
     tendon_index: int,
     joint_index: int,
     joint_angle: float,
 ) -> np.ndarray:
-    c = constant_tables(constants, constant_places)
+    c = constant_tables(constants, constant_offsets)
     return np.array([
         varying_moment_arms.joint_excursion(c, tendon_index, joint_index, joint_angle),
         varying_moment_arms.moment_arm(c, tendon_index, joint_index, joint_angle),
@@ -134,11 +134,17 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     model = model_of("jamia11")
     constants = HandConstants(model, {})
     state = active_state(model)
-    places = (state.block, state.layout.offsets, constants.block, constants.layout.offsets)
+    blocks_and_offsets = (
+        state.block,
+        state.layout.offsets,
+        constants.block,
+        constants.layout.offsets,
+    )
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
         values_at_angle, values_before, values_after = (
-            _excursion_and_derivatives(*places, 2, 1, angle) for angle in (q, q - step, q + step)
+            _excursion_and_derivatives(*blocks_and_offsets, 2, 1, angle)
+            for angle in (q, q - step, q + step)
         )
         np.testing.assert_allclose(
             (values_after - values_before)[:2] / (2 * step), values_at_angle[1:], atol=1e-8

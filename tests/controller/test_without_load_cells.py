@@ -92,10 +92,10 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: the values of each tick, and all events.
 
-    The values of a tick are the phase of the task, and three arrays (tendons,) [N]. The three
-    arrays contain the estimated tension of each tendon, the standard deviation of this estimate,
-    and the true tension. The record also contains the height of the object [m] at the end of the
-    phase ``hold``.
+    For each tick, the record contains the phase of the task. The record also contains three arrays
+    (tendons,) [N] for each tick: the estimated tension of each tendon, the standard deviation of
+    this estimate, and the true tension. The attribute ``object_height`` is the height of the object
+    [m] at the end of the phase ``hold``.
     """
 
     phase_name: list[str] = field(default_factory=list)

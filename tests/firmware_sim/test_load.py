@@ -88,13 +88,13 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
     for _ in range(4000):
         plant.step()
     normals = plant.measured_grip_forces()[1:]
-    net = np.reshape(plant.contact_forces(), (4, 3))
+    force_vectors = np.reshape(plant.contact_forces(), (4, 3))
     assert min(normals) > 1.0
-    for normal, force in zip(normals, net, strict=True):
+    for normal, force in zip(normals, force_vectors, strict=True):
         assert np.linalg.norm(force) <= normal * math.hypot(1.0, 0.5) * 1.01
-    palm = net[:, 0].sum()
+    palm = force_vectors[:, 0].sum()
     assert palm > 1.0, "the digits press the object against the palm"
-    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), (
+    assert abs(force_vectors[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), (
         "friction balances the rest of the force"
     )
 

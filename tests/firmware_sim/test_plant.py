@@ -58,10 +58,10 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction, the tension f and the angle q of each joint obey r f = k (q + q0).
+    """Test that tendon tension and spring torque balance at each joint without friction: r f = k (q + q0).
 
-    All joints have the same moment arm r, stiffness k and preload angle q0, and therefore the same
-    angle q.
+    The tendon has the tension f. All joints have the same moment arm r, stiffness k and preload
+    angle q0, and therefore the same angle q.
 
     Gravity is parallel to the joint axes, so gravity has no effect on the joints.
     """
@@ -115,7 +115,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     """With locked joints, the tension rises in proportion to the spool rotation.
 
-    The slope is k r, with the tendon stiffness k and the spool radius r.
+    The slope of the tension over the spool angle is the tendon stiffness times the spool radius.
     """
     plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)
@@ -158,7 +158,7 @@ def test_joint_stops_limit_the_angles() -> None:
     assert angles_deg.min() > -1.0
 
 
-def link_frames(plant: Plant) -> Any:
+def simulated_link_positions(plant: Plant) -> Any:
     return {
         name: np.array(plant.engine._data.body(name).xpos)
         for name in ("index_link3", "ring_link2", "thumb_link2")
@@ -173,14 +173,14 @@ def test_forward_kinematics_of_the_links() -> None:
     plant = plant_without_object()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
-    places = link_frames(plant)
+    link_positions = simulated_link_positions(plant)
     x = 0.030 * math.cos(0.3) + 0.015 * math.cos(0.7)
     y = 0.025 - 0.030 * math.sin(0.3) - 0.015 * math.sin(0.7)
-    assert places["index_link3"] == pytest.approx([x, y, 0.020], abs=1e-9)
-    assert places["ring_link2"] == pytest.approx(
+    assert link_positions["index_link3"] == pytest.approx([x, y, 0.020], abs=1e-9)
+    assert link_positions["ring_link2"] == pytest.approx(
         [0.030 * math.cos(0.3), 0.025 - 0.030 * math.sin(0.3), -0.020], abs=1e-9
     )
-    assert places["thumb_link2"] == pytest.approx(
+    assert link_positions["thumb_link2"] == pytest.approx(
         [0.015 * math.cos(0.5), -0.025 + 0.015 * math.sin(0.5), 0.0], abs=1e-9
     )
 

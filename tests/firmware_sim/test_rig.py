@@ -52,8 +52,8 @@ def close_hand(
 ) -> list[list[Frame]]:
     """Enable all motors, raise the tension of all tendons in a ramp to ``tension`` [N], and keep this tension.
 
-    The function commands torques in proportion to the tension, without feedback. Return the replies
-    of each tick.
+    The commanded torques are proportional to ``tension``, without feedback. Return the replies of
+    each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(duration_s * 500)):

@@ -43,18 +43,18 @@ friction = 0.1
 
 
 def test_gravity_turns_and_keeps_its_new_direction() -> None:
-    stages = StageSequence(
+    stage_sequence = StageSequence(
         (read_stage(SIDEWAYS_STAGE), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2
     )
-    assert stages.duration == 3.5
-    assert stages.state_at(0.0).gravity == UPRIGHT_GRAVITY_M_S2
-    half = stages.state_at(0.25).gravity
-    assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), (
-        "the magnitude does not change during the turn"
-    )
+    assert stage_sequence.duration == 3.5
+    assert stage_sequence.state_at(0.0).gravity == UPRIGHT_GRAVITY_M_S2
+    gravity_at_half_turn = stage_sequence.state_at(0.25).gravity
+    assert gravity_at_half_turn == pytest.approx(
+        (9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))
+    ), "the magnitude does not change during the turn"
     for time in (0.5, 2.4, 2.6, 100.0):
-        assert stages.state_at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
-    assert [stages.state_at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
+        assert stage_sequence.state_at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
+    assert [stage_sequence.state_at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
 
 
 def test_duration_of_a_push_and_lasting_friction() -> None:
@@ -66,14 +66,16 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
         "push_s": 1.0,
         "friction": 0.2,
     }
-    stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2)
-    push_forces = [stages.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
+    stage_sequence = StageSequence(
+        (read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2
+    )
+    push_forces = [stage_sequence.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
     assert push_forces == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
-    assert [stages.state_at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
+    assert [stage_sequence.state_at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
 
 
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
-    """The first contact of the hand starts the stages of a scene.
+    """The first contact of the hand starts the stage_sequence of a scene.
 
     In this test, a stage turns gravity towards the thumb, and changes the friction of all contacts.
     """

@@ -146,21 +146,21 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
-    only_member = BusMember(wire)
-    only_member.controller.queue_frame(Frame(1, bytes(8)), 0)
+    single_bus_member = BusMember(wire)
+    single_bus_member.controller.queue_frame(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
     assert wire.frames == 0
-    assert only_member.controller.tx_errors == 128
-    assert only_member.controller.state == CanErrorState.PASSIVE
-    assert only_member.error_class_bits == [0x20, 0x24, 0x24], (
+    assert single_bus_member.controller.tx_errors == 128
+    assert single_bus_member.controller.state == CanErrorState.PASSIVE
+    assert single_bus_member.error_class_bits == [0x20, 0x24, 0x24], (
         "missing acknowledge, then with warning, then with passive"
     )
-    assert [frame.data[1] for frame in only_member.errors] == [0, 0x08, 0x20]
+    assert [frame.data[1] for frame in single_bus_member.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other_bus_member = BusMember(wire)
     wire.advance(2 * 10**9)
     assert other_bus_member.received_ids == [1]
-    assert only_member.controller.tx_errors == 127
+    assert single_bus_member.controller.tx_errors == 127
 
 
 def destroy_frames(wire: SimulatedWire, sender: CanController, frame_count: int, t_ns: int) -> None:

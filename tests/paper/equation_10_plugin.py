@@ -42,9 +42,9 @@ def torque_from_equation_10(digit, gravity, q, dq, ddq):
     gx, gy, _ = gravity @ digit.mount_rotation
     angle = states["th1"]
     weight = gx * sin(angle) - gy * cos(angle)
-    moving = sum(term.evaluate(states) for term in EQUATION_TERMS[:-1])
-    term_at_rest = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
-    tau1 = moving + term_at_rest + tau2 - r2 * ddq[1] + r1 * ddq[0]
+    torque_of_motion = sum(term.evaluate(states) for term in EQUATION_TERMS[:-1])
+    gravity_torque = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
+    tau1 = torque_of_motion + gravity_torque + tau2 - r2 * ddq[1] + r1 * ddq[0]
     return (float(tau1), tau2, tau3)[: digit.joint_count]
 
 

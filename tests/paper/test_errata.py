@@ -68,9 +68,13 @@ def sum_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
 
 def test_corrected_energies_are_those_of_three_links() -> None:
     kinetic_energies, potential = derived_energies()
-    printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
-    for handctl_torques, derived in zip(printed, kinetic_energies, strict=True):
-        assert sp.simplify(sum_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
+    corrected_terms = (
+        equations.KINETIC_TERMS_1,
+        equations.KINETIC_TERMS_2,
+        equations.KINETIC_TERMS_3,
+    )
+    for terms_of_link, derived in zip(corrected_terms, kinetic_energies, strict=True):
+        assert sp.simplify(sum_of_terms(terms_of_link) - expression_in_symbols(derived)) == 0
     assert (
         sp.simplify(sum_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential)) == 0
     )
@@ -158,7 +162,7 @@ def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> No
 
 
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
-    def matrix(formula_source: str) -> sp.Matrix:
+    def mass_matrix_of(formula_source: str) -> sp.Matrix:
         rows = []
         for equation_terms in equations.TORQUE_TERMS:
             torque = sum(
@@ -172,7 +176,7 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
             rows.append([sp.diff(torque, DERIVATIVE_SYMBOLS[f"ddth{k}"]) for k in (1, 2, 3)])
         return sp.Matrix(rows)
 
-    corrected_matrix, printed_matrix = matrix("right"), matrix("readings")
+    corrected_matrix, printed_matrix = mass_matrix_of("right"), mass_matrix_of("readings")
     assert (corrected_matrix - corrected_matrix.T).applyfunc(sp.simplify) == sp.zeros(3, 3)
     asymmetry = (printed_matrix - printed_matrix.T).applyfunc(sp.simplify)
     assert all(asymmetry[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))

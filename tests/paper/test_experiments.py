@@ -34,8 +34,8 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
 
 
 def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
-    measured = json.loads(json.dumps(experiments.run_job({"do": "pull"}, tmp_path)))
-    bent_finger_curve, straight_finger_curve = force_displacement.curves_of_tendons(measured)
+    pull_results = json.loads(json.dumps(experiments.run_job({"do": "pull"}, tmp_path)))
+    bent_finger_curve, straight_finger_curve = force_displacement.curves_of_tendons(pull_results)
     for curve in (bent_finger_curve, straight_finger_curve):
         assert curve.stiffness == pytest.approx(1e5, rel=0.01)
         assert curve.force.max() > 240.0

@@ -27,7 +27,7 @@ EXACT_FRACTIONS = st.fractions(min_value=-1000, max_value=1000, max_denominator=
 )
 
 
-def rounded_digits(exact_value: Fraction, decimal_places: int, rounding_mode: str) -> str:
+def rounded_number_text(exact_value: Fraction, decimal_places: int, rounding_mode: str) -> str:
     exact_decimal = Decimal(exact_value.numerator) / Decimal(exact_value.denominator)
     return str(exact_decimal.quantize(Decimal(1).scaleb(-decimal_places), rounding=rounding_mode))
 
@@ -58,7 +58,7 @@ def test_verdict_of_a_number(
 @given(EXACT_FRACTIONS, st.integers(0, 5))
 def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_places: int) -> None:
     assert verdict_of_number(
-        rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN), exact_value
+        rounded_number_text(exact_value, decimal_places, ROUND_HALF_EVEN), exact_value
     ) in (
         ErrataVerdict.EQUAL,
         ErrataVerdict.ROUNDED,
@@ -69,10 +69,10 @@ def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_plac
 def test_truncated_number_is_judged_as_truncated(
     exact_value: Fraction, decimal_places: int
 ) -> None:
-    shown_digits = rounded_digits(exact_value, decimal_places, ROUND_DOWN)
-    verdict = verdict_of_number(shown_digits, exact_value)
+    number_text = rounded_number_text(exact_value, decimal_places, ROUND_DOWN)
+    verdict = verdict_of_number(number_text, exact_value)
     assert verdict != ErrataVerdict.WRONG
-    if 2 * abs(Fraction(shown_digits) - exact_value) > last_digit_value(shown_digits):
+    if 2 * abs(Fraction(number_text) - exact_value) > last_digit_value(number_text):
         assert verdict == ErrataVerdict.TRUNCATED
 
 
@@ -80,11 +80,11 @@ def test_truncated_number_is_judged_as_truncated(
 def test_a_unit_of_the_last_digit_beyond_is_wrong(
     exact_value: Fraction, decimal_places: int, last_digit_units: int
 ) -> None:
-    shown_digits = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
-    wrong_value = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(
-        shown_digits
-    ) * (1 if exact_value > 0 else -1)
-    text = rounded_digits(wrong_value, decimal_places, ROUND_HALF_EVEN)
+    number_text = rounded_number_text(exact_value, decimal_places, ROUND_HALF_EVEN)
+    wrong_value = Fraction(number_text) + (last_digit_units + 1) * last_digit_value(number_text) * (
+        1 if exact_value > 0 else -1
+    )
+    text = rounded_number_text(wrong_value, decimal_places, ROUND_HALF_EVEN)
     assert verdict_of_number(text, exact_value) == ErrataVerdict.WRONG
 
 

@@ -17,7 +17,7 @@ from handctl.tune.identify.contact_detection import (
     MIN_CONTACT_SCORE,
     ResidualRamp,
     are_joints_moving,
-    steepest_ramp,
+    most_significant_ramp,
 )
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
@@ -54,8 +54,8 @@ def identify_touching_finger(
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results.
 
-    The sweeps are those of the packaged hand. Sweeps that are computed for the hand with the near
-    thumb would end before the middle finger touches the thumb.
+    The sweeps are computed for the packaged hand, whose thumb is farther away. Sweeps that are
+    computed for the hand with the near thumb would end before the middle finger touches the thumb.
     """
     path = write_near_thumb_hand(hand_name, thumb_shift_mm, hand_folder)
     steps_of_packaged_hand = excitation_steps(load_hand(hand_name), ("middle",))
@@ -85,17 +85,19 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 ) -> None:
     """Reproduce a defect: the identification accepted wrong spring stiffnesses after a contact of the digit.
 
-    Relative to the hand file, the true spring stiffness is 1.2. The identification reported 1.41
-    and 1.73, and printed no message about the contact.
+    The true spring stiffness is 1.2 times the stiffness in the hand file. The identification
+    reported 1.41 and 1.73 times this stiffness, and printed no message about the contact.
     """
-    fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
-    for result in fits.values():
+    result_by_tendon = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path, monkeypatch)
+    for result in result_by_tendon.values():
         assert result.contact_text or result.blocked_event_text
         assert not set(result.identified_names) & set(SWEEP_PARAMETERS)
     true_values = true_parameters(
-        load_hand(hand), next(iter(fits)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
+        load_hand(hand),
+        next(iter(result_by_tendon)),
+        draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0),
     )
-    for result in fits.values():  # the contact does not affect the other parameters
+    for result in result_by_tendon.values():  # the contact does not affect the other parameters
         for name in set(result.identified_names) & {
             "torque_gain",
             "motor_inertia",
@@ -148,19 +150,19 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def unexplained_ramp_of_line(
-    seed: int, kink_size: float, kink_start: float = 0.3
+    seed: int, kink_slope: float, kink_start: float = 0.3
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
     The generated data represent two sweeps of a digit. The data are the sum of noise and a ramp.
-    The ramp begins at the angle ``kink_start``, and has the slope ``kink_size``.
+    The ramp begins at the angle ``kink_start``, and has the slope ``kink_slope``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
-    residuals = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
+    residuals = random.normal(size=ROW_COUNT) + kink_slope * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
     line_parameters = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
-    return steepest_ramp(
+    return most_significant_ramp(
         jacobian, residuals + jacobian @ line_parameters, 0, angle, (np.ones(ROW_COUNT),)
     )
 
@@ -189,8 +191,10 @@ def test_a_kink_is_found_where_it_is(kink_start: float) -> None:
 
 
 def test_a_fit_without_a_sweep_reports_no_contact() -> None:
-    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
-    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
+    assert most_significant_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
+    assert (
+        most_significant_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
+    )
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:

@@ -61,7 +61,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 ) -> None:
     """The identification can distinguish a motor with 29 % less torque from a wrong load cell.
 
-    In this test, even a motor with high friction moves its tendon.
+    In this test, a motor with high friction still makes enough force to move its tendon.
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
@@ -100,8 +100,9 @@ def test_fingers_that_could_touch_each_other_are_identified_without_a_contact(
     """Reproduce two defects of the identification of the hand t42.
 
     The sweeps bent a finger by 32 deg, but the finger touched the other finger at 16 deg. Therefore
-    no parameter was kept. A stretch of a tendon passes only three counts of the motor encoder.
-    Because of the rounding to counts, the stiffness of the tendon was 12 % too small on average.
+    no parameter was kept. The stretch of a tendon moved its motor encoder by only three counts.
+    Because of the rounding to counts, the identified stiffness of the tendon was 12 % too small on
+    average.
     """
     rows = [measure_digit(seed, "left", tmp_path, "t42") for seed in range(1, 5)]
     assert [row.get("failure", row["refused"]) for row in rows] == [[]] * len(rows)
@@ -295,8 +296,8 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """The width of a delay's confidence interval is compared with an absolute limit.
 
-    For other parameters, the limit of the width is a fraction of the parameter value. A delay can
-    be zero, so a fraction of the delay is not a useful limit.
+    For all other parameters, the largest allowed width is a fraction of the parameter value. A
+    delay can be zero, and a fraction of zero would refuse every confidence interval.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (
@@ -337,8 +338,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 ) -> None:
     """Reproduce a defect: the report gave the wrong reason why spring parameters were not identified.
 
-    The report stated "no data depend on this parameter". For a digit with several tendons and
-    without joint encoders, the report must state "needs joint encoders".
+    The wrong reason was "no data depend on this parameter". For a digit with several tendons and
+    without joint encoders, the report must give the reason "needs joint encoders".
     """
     content = hand_content("jamia11")
     node = content["sensor_node"]

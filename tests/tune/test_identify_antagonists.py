@@ -94,14 +94,19 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand_nam
     identified_rows = {
         name: row for name, row in figures["parameters"].items() if row["identified"]
     }
-    covered_counts = {name: row["covered"] for name, row in identified_rows.items()}
-    identified = {name: row["identified"] for name, row in identified_rows.items()}
+    covered_count_by_parameter = {name: row["covered"] for name, row in identified_rows.items()}
+    identified_count_by_parameter = {
+        name: row["identified"] for name, row in identified_rows.items()
+    }
     assert [
         name
         for name in identified_rows
-        if covered_counts[name] < MIN_COVERED_FRACTION_PER_PARAMETER * identified[name]
+        if covered_count_by_parameter[name]
+        < MIN_COVERED_FRACTION_PER_PARAMETER * identified_count_by_parameter[name]
     ] == []
-    assert sum(covered_counts.values()) >= MIN_COVERED_FRACTION * sum(identified.values())
+    assert sum(covered_count_by_parameter.values()) >= MIN_COVERED_FRACTION * sum(
+        identified_count_by_parameter.values()
+    )
 
 
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
@@ -162,9 +167,10 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 @pytest.mark.parametrize("knee_N", [200.0, 14.0, 6.0])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
 def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: float) -> None:
-    """Test the net tension of a pair of tendons that are stretched by s + x and s - x.
+    """Test that the net tension of a spool pair is the difference between the tensions of its two stretched tendons.
 
-    The pretension causes the stretch s of both tendons, and x is the stretch of the pair.
+    The pretension stretches both tendons by s. If the pair is stretched by x, the tendons are
+    stretched by s + x and s - x.
 
     If the stiffness is multiplied by a factor, all stretches are divided by this factor.
     """
@@ -186,8 +192,8 @@ def test_the_stiffness_of_a_tendon_is_that_below_its_knee(
 ) -> None:
     """Reproduce a defect: the fit ignored the knee of a stiffness curve.
 
-    In the hand file, the stiffness of a tendon changes at a certain tension (the knee). If the knee
-    was at 8 N, the identified tendon stiffness was 18 % too large.
+    In the hand file, the stiffness of a tendon changes at a certain tension (the knee). With the
+    knee at 8 N, the fit computed a tendon stiffness that was 18 % too large.
     """
     monkeypatch.chdir(tmp_path)
     text = hand_path("n_plus_1").read_text()
@@ -219,7 +225,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """
     limit = HoldTimeout()
 
-    def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
+    def requests_between(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []
         for t in np.arange(begin_s, end_s, 0.1):
             event = SimpleNamespace(name="fault", text="N07 a noisy encoder: HOLD")
@@ -228,10 +234,10 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
             requests += limit.poll_requests()
         return requests
 
-    assert ticks(SafetyAction.HOLD, 0.0, 4.0) == []
-    assert ticks(SafetyAction.WARN, 4.0, 9.0) == []
+    assert requests_between(SafetyAction.HOLD, 0.0, 4.0) == []
+    assert requests_between(SafetyAction.WARN, 4.0, 9.0) == []
     limit.raise_if_stopped("a run")
-    assert ticks(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
+    assert requests_between(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
     with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
         limit.raise_if_stopped("a run")
 

@@ -55,8 +55,8 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 ) -> None:
     """Compare the impulse response of the open-loop model with a simulation of plant and controller.
 
-    On the bus, a tick of the controller gets the sensor samples of the previous tick. In the
-    simulation of this test, the controller also gets the sample of the previous tick.
+    On the bus, a tick of the controller gets the sensor samples of the previous tick. The
+    simulation of this test therefore gives the controller the sensor samples of the previous tick.
     """
     P, K, L = (
         plant_system(jamia, 0, loop_kind),
@@ -134,9 +134,9 @@ def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
 def test_margins_hardly_depend_on_small_changes_of_a_moment_arm(digit_name: str) -> None:
     """Reproduce a defect: with identified moment arms, the loops of the hand n_plus_1 counted as unstable.
 
-    In a digit with antagonistic tendons, the control law keeps one tension at the tension floor,
-    where the control law has a kink. Depending on rounding, the linear model described one side of
-    the kink, or the mean of both sides.
+    In a digit with antagonistic tendons, the control law keeps one tension at the tension floor. At
+    the tension floor, the slope of the control law changes abruptly. Depending on rounding, the
+    linear model contained the slope on one side of the floor, or the mean of both slopes.
     """
     hand = load_hand("n_plus_1")
     gains = packaged_gains("n_plus_1")

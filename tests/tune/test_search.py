@@ -206,9 +206,9 @@ def test_search_resumes_from_a_truncated_journal(
 ) -> None:
     """In this test, the journal of a search is cut off in the middle of a line.
 
-    A search begins with random trials, and the sampler chooses the later trials. In some test
-    cases, the journal is cut off within the random trials. In the other test cases, the journal is
-    cut off within the later trials.
+    A search begins with random trials, and the sampler chooses the later trials. With a small
+    ``journal_fraction``, the journal is cut off within the random trials. With a large
+    ``journal_fraction``, the journal is cut off within the trials of the sampler.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
@@ -365,8 +365,8 @@ def test_only_good_trials_are_chosen() -> None:
 def test_gains_that_cannot_commission_the_hand_are_not_chosen() -> None:
     """Test that the gains of the best trial of a search can commission the hand.
 
-    With the gains of the trial that a search for the hand orca_like chose, a pull with 3 N made a
-    motor force of only 1.7 N. The commissioning therefore failed.
+    A search for the hand orca_like chose gains with which the commissioning failed. With these
+    gains, a commanded tension of 3 N caused a motor force of only 1.7 N.
     """
     plan = SearchPlan(
         load_hand("orca_like").to_toml(),

@@ -276,9 +276,9 @@ def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
-    largest_design = model_with_largest_force(model, LoopKind.MOTION, plants)
-    assert largest_design is not None
-    assert keeps_required_margins(largest_design, plants, (LoopKind.MOTION,))
+    designed_model = model_with_largest_force(model, LoopKind.MOTION, plants)
+    assert designed_model is not None
+    assert keeps_required_margins(designed_model, plants, (LoopKind.MOTION,))
 
 
 def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
@@ -311,7 +311,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
     In a hand without load cells, a digit that closed with 30 N caused the fault T01 (a tendon
-    snapped). Because of the fault T01, every step test of the gains ended early.
+    snapped), although no tendon had snapped. This fault ended every step test of the gains early.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), CONTROL_RATES_HZ["orca_like"])
     swing_amplitude = simulate_swing(model.hand, model, {}, 0)
@@ -371,8 +371,8 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
     The links of a digit that presses on an object slip at random times. A slip causes a peak of
-    several newtons. Earlier, the design simulated each plant (simulated hand) only once. A single
-    slip of a link could then make the design refuse good gains.
+    several newtons. Earlier, the design simulated each plant (simulated hand) only once. Because of
+    a single slip of a link, the design could refuse good gains.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
@@ -449,9 +449,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 def test_an_oscillating_loop_is_not_hidden_by_chatter(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """In this test, the oscillation with the gains is not larger than without feedback.
+    """Test that gains are refused if the eigenvalues of a tension loop show that the loop itself oscillates.
 
-    Even so, the gains are refused, because the eigenvalues show that the loop oscillates.
+    In this test, the simulated hand oscillates with the gains no more than without feedback.
     """
     chatter_N = (4.0, 4.0, 4.0, 4.0)
     slow_gains = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}

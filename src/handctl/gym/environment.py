@@ -352,10 +352,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
         In the returned action, every digit follows its target angles, and no digit holds a tension.
         """
-        scaled = (
+        unclipped_action = (
             2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
         )
-        return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+        return np.clip(unclipped_action, -1.0, 1.0).astype(np.float32)
 
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Convert joint angles (J,) to the quantities for which an action contains targets (V,).

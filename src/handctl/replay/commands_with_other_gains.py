@@ -1,8 +1,8 @@
 """Commands that the controller would have given with other gains, computed for a recorded run.
 
-The new commands are compared with the logged commands in numbers and in a figure. The controller is
-executed on the measurements in the log. The figure shows the new command in each tick. The figure
-does not show the motion that the new commands would cause.
+The result compares the commands with other gains and the logged commands, as numbers and as a
+figure. The controller is executed on the measurements in the log. The figure shows the new command
+in each tick. The figure does not show the motion that the new commands would cause.
 
 The measurements in the log are the result of the old commands, so the new commands and the
 measurements do not match. If the commands contradict the measurements, the safety monitor can see a
@@ -105,8 +105,8 @@ def draw_commands(
     """Draw the commanded tension and motor torque of each tendon as a PNG file.
 
     The figure shows the logged commands and the commands with other gains. After the first tick
-    with a different reaction to a fault, the commands cannot be compared. In the figure, a grey
-    background marks the ticks in which the commands cannot be compared.
+    whose reaction to a fault differs from the log, the commands cannot be compared. In the figure,
+    a grey background marks all ticks without a comparison.
 
     Args:
         path: PNG file to write.

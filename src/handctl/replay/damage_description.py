@@ -39,7 +39,8 @@ def describe_damaged_log(path: Path) -> str:
 
     Even if somebody has changed a tick and adjusted the checksums of the file, the hash chain shows
     the change. If all hashes of the chain are right, the damage lies in topics that are computed
-    from the ticks. The returned text then names the ticks in the damaged chunk of the file.
+    from the ticks. For damage in these topics, the returned text names the ticks in the damaged
+    chunk of the file.
 
     Raises:
         LogError: the file is not a log of handctl.

@@ -5,7 +5,7 @@ The joint angles in the actions of the episode must pass the same checks as a tr
 The dataset must have the file layout of LeRobot's codebase version 3.0. An action has an element
 such as `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic
 joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write elements
-with these names. All other elements of an action, such as tensions, are ignored.
+with these names. Elements of an action that are not joint positions, such as tensions, are ignored.
 """
 
 import json
@@ -88,8 +88,8 @@ def find_episode(
                 f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}"
             )
         units = hand.display_units
-        slowest = np.where(units.is_prismatic, units.scale, 1.0)
-        angles = _limit_angle_steps(angles, np.radians(speed_deg_s) * slowest / rate)
+        unit_scale = np.where(units.is_prismatic, units.scale, 1.0)
+        angles = _limit_angle_steps(angles, np.radians(speed_deg_s) * unit_scale / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 

@@ -27,7 +27,8 @@ MAX_TICK_GAP_S = 0.05
 def active_interval(log: RunLog) -> tuple[float, float]:
     """Return the times at which the active part of a run begins and ends [s].
 
-    The phases that prepare the motion, such as the tightening of the tendons, are not included.
+    The active part begins after the phases that prepare the motion, such as the tightening of the
+    tendons.
 
     Raises:
         LogError: the hand was never active, no tick has targets for all tendons, or the ticks are
@@ -166,7 +167,7 @@ def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
 def _playback_start(replayed_log: RunLog) -> float | None:
     """Return the time at which a replay began to follow the recorded run [s].
 
-    If the replay never began to follow the run, return None.
+    If the replayed log contains no phase ``playback``, return None.
     """
     return next(
         (change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"), None

@@ -1,12 +1,12 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-The log is divided into consecutive parts, and each process executes one part. At each border
-between two parts, two hashes of the controller's state are compared. One hash comes from the state
-that the earlier process has computed. The other hash is the logged hash of the snapshot from which
-the later process has started. If the two hashes are equal, a serial execution would reach the
-same state, and the results of the two parts are combined. If the two hashes differ, one process
-executes the rest of the log serially. The result of a parallel execution is always equal to the result of a
-serial execution.
+The log is divided into consecutive parts, and each process executes one part. The process of a part
+starts from a snapshot of the controller's state in the log. At each border between two parts, the
+hash of this snapshot is compared with the hash of the state at the end of the earlier part. If the
+hashes at a border are equal, a serial execution would reach the same state, and the results of both
+parts are combined. If the hashes at a border differ, one process executes the log serially from
+this border on. The result of a parallel execution is always equal to the result of a serial
+execution.
 """
 
 import json
@@ -197,8 +197,8 @@ def _result_json(
 ) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the returned text is empty.
 
-    If the returned text is empty, the calling process executes the part itself, finds the damage
-    and reports the error.
+    After an empty text, the calling process executes the same part of the log itself, finds the
+    damage and reports the error.
     """
     try:
         state, difference_tally = runner.execute_log_part(*log_part, None, add_executed_ticks)

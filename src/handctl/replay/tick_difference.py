@@ -72,7 +72,7 @@ def distance_in_ulps(first_float: float, second_float: float) -> int:
 def _float_ordinal(value: float) -> int:
     """Return the position of a number in the ordered sequence of all float64 numbers.
 
-    The numbers 0.0 and -0.0 both have the position 0.
+    The positions are counted from zero, so 0.0 and -0.0 both have the position 0.
     """
     bits = int(np.float64(value).view(np.int64))
     # If the bits of positive floats are read as integers, these integers have the same order as the
@@ -200,7 +200,7 @@ def are_decisions_equal(logged_tick: TickRecord, computed_tick: TickOut) -> bool
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
     The decisions of a tick are the mode, the reaction to faults, the grasp phase and the events.
-    The texts of the events are not compared, because they contain numbers.
+    The texts of the events are not compared, because these texts contain numbers.
     """
     logged_events, computed_events = (
         [event[:3] for event in events] for events in (logged_tick.events, computed_tick.events)

@@ -185,8 +185,8 @@ class GainsStore:
         """Write gains to the history with the next number, and then make them the present gains.
 
         The new entry of the history names the entry that it replaces, usually the present gains. A
-        user can replace the file of the present gains by a file that is not in the history. After
-        such a replacement, the new entry names the newest entry of the history.
+        user can replace the file of the present gains by a file that is not in the history. If the
+        present gains are not in the history, the new entry names the newest entry of the history.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()

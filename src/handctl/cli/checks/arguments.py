@@ -233,15 +233,15 @@ def bus(parser: VerbParser) -> None:
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
     plan_parser = add_sub_verb(subparsers, "plan", text, COMMAND_EXAMPLES["bus plan"])
     text = "check buses from the interface to the drives, and name the command that repairs each finding"
-    doctor_parser = add_sub_verb(subparsers, "doctor", text, COMMAND_EXAMPLES["bus doctor"])
+    bus_doctor_parser = add_sub_verb(subparsers, "doctor", text, COMMAND_EXAMPLES["bus doctor"])
     text = "print the commands that set up the interfaces of a hand, or run them (--yes, as root)"
-    up_parser = add_sub_verb(subparsers, "up", text, COMMAND_EXAMPLES["bus up"])
+    bus_up_parser = add_sub_verb(subparsers, "up", text, COMMAND_EXAMPLES["bus up"])
     text = "show angle, velocity, temperature and tension of every drive and load cell live, without torque"
     watch_parser = add_sub_verb(subparsers, "watch", text, COMMAND_EXAMPLES["bus watch"])
     defaults = (
         (plan_parser, "jamia"),
-        (doctor_parser, "none"),
-        (up_parser, "none"),
+        (bus_doctor_parser, "none"),
+        (bus_up_parser, "none"),
         (watch_parser, "jamia on a simulated bus"),
     )
     for subcommand, default in defaults:
@@ -256,13 +256,15 @@ def bus(parser: VerbParser) -> None:
     plan_parser.add_argument(
         "--table", action="store_true", help="compare the protocols, without a hand"
     )
-    for subcommand in (doctor_parser, up_parser):
+    for subcommand in (bus_doctor_parser, bus_up_parser):
         add_bitrate_options(
             subcommand,
             "without a hand: bit rate of the bus",
             "without a hand: bit rate of CAN FD's data phase",
         )
-    up_parser.add_argument("--yes", action="store_true", help="run the commands now; needs root")
+    bus_up_parser.add_argument(
+        "--yes", action="store_true", help="run the commands now; needs root"
+    )
     text = "end after this time (default: Ctrl-C)"
     watch_parser.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
     add_time_scale_option(watch_parser)

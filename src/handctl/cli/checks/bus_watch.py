@@ -62,19 +62,19 @@ def run(args: argparse.Namespace) -> int:
             )
             stack.callback(bus.close)
             opened_buses.append(bus)
-        watch = BusWatch(drives, make_sensors(hand), opened_buses, clock, clock.period_ns)
+        bus_watch = BusWatch(drives, make_sensors(hand), opened_buses, clock, clock.period_ns)
         print_note(
             f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."
         )
-        if other_host_ids := watch.find_other_host():
+        if other_host_ids := bus_watch.find_other_host():
             problem = f"another host controls this bus (received: {other_host_ids})"
             raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
         termination_flag = TerminationFlag()
         stack.enter_context(installed_handler(termination_flag, signal.SIGINT, signal.SIGTERM))
-        stack.callback(watch.send_release)
+        stack.callback(bus_watch.send_release)
         clock.start()
-        _show_readings(args, hand, watch, termination_flag)
-    if silent_motors := watch.silent_motors():
+        _show_readings(args, hand, bus_watch, termination_flag)
+    if silent_motors := bus_watch.silent_motors():
         print(f"handctl: without a reply at the end: {', '.join(silent_motors)}", file=sys.stderr)
     return ExitCode.FAILED if silent_motors else ExitCode.DONE
 
@@ -99,7 +99,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 
 
 def _show_readings(
-    args: argparse.Namespace, hand: Hand, watch: BusWatch, termination: TerminationFlag
+    args: argparse.Namespace, hand: Hand, bus_watch: BusWatch, termination: TerminationFlag
 ) -> None:
     """Send a poll to every drive in every tick.
 
@@ -117,11 +117,11 @@ def _show_readings(
 
             live_display = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
         while not termination.requested and (now := time.monotonic()) < end:
-            watch.run_tick()
+            bus_watch.run_tick()
             if now < next_print_time:
                 continue
             next_print_time = max(next_print_time + print_period_s, now)
-            readings = bus_readings(hand, watch)
+            readings = bus_readings(hand, bus_watch)
             if live_display is not None:
                 live_display.update(_readings_table(readings), refresh=True)
             elif args.json:
@@ -131,15 +131,18 @@ def _show_readings(
                 sys.stdout.flush()
 
 
-def bus_readings(hand: Hand, watch: BusWatch) -> dict[str, Any]:
+def bus_readings(hand: Hand, bus_watch: BusWatch) -> dict[str, Any]:
     """Return the present readings of all drives and load cells of a hand.
 
     A reading that is older than ``STALE_AFTER_S`` becomes NaN.
     """
-    now = watch.clock.now_ns()
-    rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
+    now = bus_watch.clock.now_ns()
+    rows = zip(
+        hand.tendon_names, bus_watch.drives, bus_watch.states, bus_watch.ages_s(now), strict=True
+    )
     tensions = {
-        hand.tendon_names[index]: reading.value_at(now) for index, reading in watch.tensions.items()
+        hand.tendon_names[index]: reading.value_at(now)
+        for index, reading in bus_watch.tensions.items()
     }
     return {
         "t_s": now * 1e-9,
@@ -150,13 +153,13 @@ def bus_readings(hand: Hand, watch: BusWatch) -> dict[str, Any]:
             {
                 "tendon": name,
                 "tension_N": value,
-                "saturated": is_saturated(value, watch.sensors.cell_range),
+                "saturated": is_saturated(value, bus_watch.sensors.cell_range),
             }
             for name, value in tensions.items()
         ],
         "joint_encoders": [
             {"joint": hand.joints[index], **_joint_reading(hand, index, reading.value_at(now))}
-            for index, reading in watch.angles.items()
+            for index, reading in bus_watch.angles.items()
         ],
     }
 

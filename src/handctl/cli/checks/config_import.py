@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         import_answers = _ask_questions(
             import_answers, {"tendons", "pulley_mm"} if tendons else set()
         )
-    _check_tendon_answers(import_answers)
+    _check_name_and_first_node(import_answers)
     if not tendons:
         check_springs(import_answers.tendons, import_answers.springs)
     check_protocol_given(import_answers.protocol, import_answers.motor_type)
@@ -205,13 +205,13 @@ def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> Impor
     )
 
 
-def _check_tendon_answers(import_answers: ImportAnswers) -> None:
-    """Check the names and the node numbers in the answers before the hand file is written.
+def _check_name_and_first_node(import_answers: ImportAnswers) -> None:
+    """Check the name of the hand and the first node number before the hand file is written.
 
-    The check of the new hand file finds the remaining mistakes in the answers.
+    The check of the new hand file finds mistakes in the operator's other answers.
 
     Raises:
-        ConfigError: a name or a node number is wrong.
+        ConfigError: the name or the node number is wrong.
     """
     if import_answers.name is not None:
         check_name(import_answers.name)

@@ -63,14 +63,14 @@ def run(args: argparse.Namespace) -> int:
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = describe_drive(args, options, node)
-        results, is_off = _run_checks(args, drive, with_torque_range(drive, node))
+        results, is_drive_disabled = _run_checks(args, drive, with_torque_range(drive, node))
     counts = Counter(check.verdict for check in results)
     if args.json:
-        print_json(_result_fields(args, node, results, is_off))
+        print_json(_result_fields(args, node, results, is_drive_disabled))
     else:
         print("the drive keeps the watchdog and limits of this check until it is switched off")
         print(", ".join(f"{counts[verdict]} {verdict.value}" for verdict in CheckVerdict))
-    if not is_off:
+    if not is_drive_disabled:
         _print_error(DRIVE_STILL_ON_WARNING)
         return ExitCode.REMOVE_POWER
     if counts[CheckVerdict.FAILED]:
@@ -114,21 +114,21 @@ def _run_checks(
         finally:
             if len(results) < len(CHECKED_REQUIREMENTS):
                 bus.send(drive.torque_cut_frames())
-            is_off = release_drive(
+            is_drive_disabled = release_drive(
                 rig, WATCHDOG_MS / 1e3, original_drive if original_drive is not drive else None
             )
-            if not is_off and len(results) < len(
+            if not is_drive_disabled and len(results) < len(
                 CHECKED_REQUIREMENTS
             ):  # Ctrl-C or a bug has ended the checks, and this early end is reported here
                 raise PowerError(DRIVE_STILL_ON_WARNING)
-    return results, is_off
+    return results, is_drive_disabled
 
 
 def _result_fields(
     args: argparse.Namespace,
     node: DiscoveredNode,
     check_results: list[ConformanceCheck],
-    is_off: bool,
+    is_drive_disabled: bool,
 ) -> dict[str, Any]:
     return {
         "drive": args.protocol,
@@ -137,7 +137,7 @@ def _result_fields(
         "torque_limit_N_m": args.limit,
         "firmware": node.firmware,
         "serial": node.serial,
-        "confirmed_off": is_off,
+        "confirmed_off": is_drive_disabled,
         "checks": [
             {"name": check.name, "verdict": check.verdict.value, "why": check.reason}
             for check in check_results

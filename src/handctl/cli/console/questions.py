@@ -31,7 +31,7 @@ class HandQuestion(NamedTuple):
     expected_text: str
 
 
-def reader_of_choice(allowed_words: Collection[str]) -> Callable[[str], str]:
+def reader_of_allowed_words(allowed_words: Collection[str]) -> Callable[[str], str]:
     """Return a function that accepts only the given words as an answer.
 
     For any text that is not among the given words, the returned function raises ValueError.
@@ -47,14 +47,14 @@ def reader_of_choice(allowed_words: Collection[str]) -> Callable[[str], str]:
 
 TENDON_QUESTIONS = (
     HandQuestion("tendons", "Tendons of a digit: one, or one for each joint (one, each)",
-                 reader_of_choice(("one", "each")), "one or each"),
+                 reader_of_allowed_words(("one", "each")), "one or each"),
     HandQuestion("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
     HandQuestion("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
     HandQuestion("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
     HandQuestion("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )  # fmt: skip
 """Questions about the tendons of every new hand, in order."""
-read_all_or_none = reader_of_choice(("all", "none"))
+read_all_or_none = reader_of_allowed_words(("all", "none"))
 """Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
 SPRING_ANSWER_FIELD = "springs"
 """Field of the question about springs. The question is left out for digits that need springs."""
@@ -70,7 +70,7 @@ DRIVE_AND_SENSOR_QUESTIONS = (
     HandQuestion(
         "protocol",
         f"Protocol of the drives ({', '.join(PROTOCOL_TRAITS)})",
-        reader_of_choice(PROTOCOL_TRAITS),
+        reader_of_allowed_words(PROTOCOL_TRAITS),
         ", ".join(PROTOCOL_TRAITS),
     ),
 )
@@ -132,7 +132,7 @@ def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
         return answer
     names = ", ".join(motor_types)
     question = HandQuestion(
-        "motor_type", f"Type of the motors ({names})", reader_of_choice(motor_types), names
+        "motor_type", f"Type of the motors ({names})", reader_of_allowed_words(motor_types), names
     )
     default = PROTOCOL_TRAITS[protocol or ""].options["motor_type"]
     return str(ask_question(question, default, default))

@@ -46,7 +46,7 @@ def flush_stdout() -> None:
 def discard_output() -> None:
     """Discard buffered output that cannot be written to standard output.
 
-    Without this call, the process would try to write the buffered output again at its end, and fail
-    again.
+    If the output stayed in the buffer, Python would try to write the output again at the end of the
+    process, and fail again.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -52,7 +52,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     workers = usable_cores() if args.jobs is None else check_count(args.jobs, "--jobs", 64)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, progress=update_progress, worker_count=workers)
-    has_passed = (
+    is_reproduced = (
         not execution.differing_ticks
         if args.within is None
         else is_within_tolerance(execution, args.within)
@@ -71,7 +71,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if execution.first_state_difference
         else None,
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
-        "same": has_passed,
+        "same": is_reproduced,
         "version": running_version[0],
         "version_logged": version_and_code_hash[0],
         "code": running_version[1],
@@ -105,12 +105,12 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                     *version_and_code_hash, *running_version
                 )
             )
-        if not has_passed and not execution.different_decisions and args.within is None:
+        if not is_reproduced and not execution.different_decisions and args.within is None:
             print_escaped(
                 "all decisions are equal; if another machine wrote the log, "
                 "--within 1e-9 accepts differences by rounding"
             )
-    return has_passed
+    return is_reproduced
 
 
 def _version_and_code_hash(log: Any) -> tuple[str, str]:

@@ -72,7 +72,7 @@ def _run_demo(args: argparse.Namespace) -> int:
             "--time-scale",
             "1 with --lockstep, which does not run in real time",
         )
-    args.bus = _bus_words(load_hand(args.hand).bus_names)
+    args.bus = _bus_option_values(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = load_task_for_hand(args.task, plan.hand)
     args.scene = scene_for_hand(args.scene, plan.hand)
@@ -98,7 +98,7 @@ def _run_demo(args: argparse.Namespace) -> int:
     result = judge_run(plan, outcome, log, truth, task=task)
     if result["truth"] != str(truth):  # a copy of the truth file lies next to the log
         truth.unlink(missing_ok=True)
-    result |= _speed_ratio(outcome, plan, wall_time_s) if args.lockstep else {}
+    result |= _simulation_speed_fields(outcome, plan, wall_time_s) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:
         print(
@@ -117,7 +117,7 @@ def _calibration_path(log: Path) -> Path:
 def _check_not_overwritten(path: Path, log: Path) -> None:
     """Check that a file of the demo does not exist yet.
 
-    An existing file could be the calibration of a real hand.
+    The demo overwrites no file, because an existing file could be the calibration of a real hand.
 
     Raises:
         ConfigError: the file exists.
@@ -126,7 +126,7 @@ def _check_not_overwritten(path: Path, log: Path) -> None:
         raise ConfigError(f"would overwrite {path}", f"--log {log}", "another name for the log")
 
 
-def _bus_words(names: tuple[str, ...]) -> list[str]:
+def _bus_option_values(names: tuple[str, ...]) -> list[str]:
     """Return the values of the option ``--bus`` for a hand.
 
     Each bus of the hand becomes a local bus of this process.
@@ -190,7 +190,7 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
+def _simulation_speed_fields(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
     """Return three fields of the result: simulated time, real time, and the ratio of both.
 
     The simulated time and the real time include the commissioning of the hand.

@@ -81,7 +81,7 @@ def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, 
 
 
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Check that the report and the folders can be written.
+    """Check that the report file and the files in the output folders can be written.
 
     The report and the folders are checked before the experiments, because the experiments take a
     long time.

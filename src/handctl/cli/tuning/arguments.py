@@ -126,13 +126,13 @@ def gains(parser: VerbParser) -> None:
         help="number in the history, 0 for the default gains of the hand",
     )
     add_gains_verb("log", "list all gains that were applied")
-    set_parser = add_gains_verb(
+    gains_set_parser = add_gains_verb(
         "set", "change gains of a running controller, without a step in torque"
     )
-    set_parser.add_argument(
+    gains_set_parser.add_argument(
         "values", nargs="+", metavar="KEY=VALUE", help="gains and their new values"
     )
-    add_bus_option(set_parser)
+    add_bus_option(gains_set_parser)
 
 
 def tune(parser: VerbParser) -> None:

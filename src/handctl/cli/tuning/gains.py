@@ -134,8 +134,8 @@ def _gains_to_compare(gains_name: str, hand: Hand) -> Gains:
     if gains_name == "packaged":
         return packaged_gains(hand.name)
     if gains_name == "present":
-        present = store.present_gains()
-        return present.gains if present else default_gains(hand)
+        present_gains = store.present_gains()
+        return present_gains.gains if present_gains else default_gains(hand)
     if gains_name.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
         if gains_name.lstrip("0") not in entries:

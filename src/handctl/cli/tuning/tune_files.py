@@ -54,14 +54,14 @@ def ensemble_of_tuned_hand(
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
     """
-    perturb = check_perturb(args, is_simulated=True)
+    perturbation_factors = check_perturb(args, is_simulated=True)
     plants = sample_ensemble(
         check_count(args.plants, "--plants", maximum), args.seed, half_width_by_factor
     )
     if args.fit:
         return plants
     return tuple(
-        plant | {key: plant.get(key, 1.0) * factor for key, factor in perturb.items()}
+        plant | {key: plant.get(key, 1.0) * factor for key, factor in perturbation_factors.items()}
         for plant in plants
     )
 

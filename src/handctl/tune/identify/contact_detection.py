@@ -90,7 +90,7 @@ class ResidualRamp(NamedTuple):
         return abs(self.score) < MAX_SCORE_WITHOUT_CONTACT and is_plausible
 
 
-def steepest_ramp(
+def most_significant_ramp(
     jacobian: Array, residual: Array, first_sample: int, angle: Array, unit_vectors: Sequence[Array]
 ) -> ResidualRamp | None:
     """Return the most significant ramp in the residuals of a fit. Return None if the fit has no sweep.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
-from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
+from handctl.tune.identify.contact_detection import ResidualRamp, most_significant_ramp
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
@@ -289,7 +289,7 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
     Return the most significant torque ramp. A ramp acts on a single joint.
     """
     unit_vectors = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
-    return steepest_ramp(
+    return most_significant_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), unit_vectors
     )
 

@@ -167,7 +167,7 @@ class DigitLoad:
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
-        wrap: wrap angle of the tendon before the first pulley [rad].
+        wrap_angle: wrap angle of the tendon before the first pulley [rad].
         inertia: (grid, n) torque at each joint, divided by the common acceleration of all joints,
             at the angles of the table.
         weight: (grid, n) torque of the weight at each joint, at the angles of the table [N m].
@@ -179,7 +179,7 @@ class DigitLoad:
     spring: Array
     preload: Array
     damping: Array
-    wrap: float
+    wrap_angle: float
     inertia: Array
     weight: Array
     varying_arm_digit: DigitModel | None = None
@@ -193,7 +193,7 @@ class DigitLoad:
             spring=np.array(digit.spring_stiffness),
             preload=np.array(digit.spring_preload),
             damping=np.array(digit.joint_damping),
-            wrap=float(digit.wrap[0]),
+            wrap_angle=float(digit.wrap[0]),
             inertia=np.array(
                 [mass_matrix(digit, [q] * n).sum(axis=1) for q in TABLE_ANGLES_RAD.tolist()]
             ),
@@ -252,7 +252,7 @@ class DigitLoad:
         # tendon. For a given tension, the joint angles are computed one by one, beginning at the
         # palm.
         for _ in range(NEWTON_STEPS):
-            angle = np.full_like(mean, self.wrap)
+            angle = np.full_like(mean, self.wrap_angle)
             excursion = f / p.stiffness
             slope = np.full_like(mean, 1.0 / p.stiffness)
             for i in range(len(self.arms)):

@@ -134,13 +134,15 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     travel = data.travel[rows]
     _, speed, acceleration = weights.derivatives(travel)
     quick_speed = speed_from_difference(data.travel, period)
-    is_complete = data.torque_mask[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(
-        axis=1
-    )
-    moving = np.abs(quick_speed[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
+    is_window_complete = data.torque_mask[rows].all(axis=1) & np.isfinite(
+        travel + data.tension[rows]
+    ).all(axis=1)
+    is_window_moving = np.abs(quick_speed[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
     # All signs in a window are equal if the absolute value of their sum is the number of readings.
     is_selected = (
-        is_complete & moving & (np.abs(np.sign(quick_speed[rows]).sum(axis=1)) == len(samples))
+        is_window_complete
+        & is_window_moving
+        & (np.abs(np.sign(quick_speed[rows]).sum(axis=1)) == len(samples))
     )
     taps = np.arange(-half_window - 2, half_window + 3)
     return MotorWindows(

@@ -4,13 +4,14 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
-the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
-of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
-the stretch at a net tension F. Each tendon has the stiffness k. While both tendons are taut, the
-stiffness of the pair is 2 k. If F exceeds twice the pretension p, one tendon is slack, and the
-stiffness of the pair is k. At a tension called the knee, the stiffness of a tendon changes. Beyond
-the knee, the stiffness in the hand file is multiplied by the same factor as k.
+F is the net tension at the spool. The force n of the load is the sum of the inertia, the weight and
+the damping of the links, and the friction of both tendons. In free motion, the net tension F equals
+the load n. The stretch of the pair is the travel of the spool minus the excursion of the joints.
+The characteristic g gives the stretch at a net tension F. Each tendon has the stiffness k. While
+both tendons are taut, the stiffness of the pair is 2 k. If the net tension F exceeds twice the
+pretension p, one tendon is slack, and the stiffness of the pair is k. At a tension called the knee,
+the stiffness of a tendon changes. Beyond the knee, the stiffness in the hand file is multiplied by
+the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon

@@ -16,7 +16,7 @@ from handctl.core.tendon_constants import motor_position_step
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
-from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
+from handctl.tune.identify.contact_detection import ResidualRamp, most_significant_ramp
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins, average_in_bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
 from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
@@ -188,8 +188,9 @@ class TendonFitProblem:
     def _initial_stretch_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        If there are data at the open stop of the digit, the offset is estimated from these data.
-        Otherwise the estimated offset is the smallest travel in free motion.
+        If the log contains data at the open stop of the digit, the offset is estimated from these
+        data. Without data at the open stop, the estimate is the smallest travel of the tendon in
+        free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.open_stop_bins.t):
@@ -403,7 +404,7 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
     )
     angle = load.mean_angle(free_bins.travel - offset - free_bins.tension / stiffness)
     unit = np.full(len(free_bins.t), free_bins.count**0.5 / problem.cell_noise_N)
-    return steepest_ramp(
+    return most_significant_ramp(
         solution.jacobian, solution.residual, first_residual, np.asarray(angle), (unit,)
     )
 

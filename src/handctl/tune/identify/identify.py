@@ -112,7 +112,8 @@ class TendonResult:
     def is_incoherent(self) -> bool:
         """Return True if the motor force explains hardly any of the motion.
 
-        The coherence of motor force and motion is then as low as for two unrelated signals.
+        Below ``MIN_COHERENCE``, the coherence of motor force and motion is as low as for two
+        unrelated signals.
         """
         return self.coherence < MIN_COHERENCE
 
@@ -120,8 +121,8 @@ class TendonResult:
     def reason_by_invalid_quantity(self) -> dict[str, str]:
         """Return, for each quantity without a valid value, the reason why the value is not valid.
 
-        In the result, the parameters of the fit come before quantities that the fit does not
-        contain.
+        In the result, the parameters of the fit come first. Quantities that the fit does not
+        determine come last.
         """
         reason_by_parameter = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
@@ -272,12 +273,12 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
 
 
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Add information about contacts to the result of a tendon.
+    """Add the texts about a contact and about a blocked digit to the result of a tendon.
 
     A contact makes the parameters from the sweeps invalid. To detect obstacles, the controller uses
-    the springs of the hand file. If the real springs are a third stiffer than the springs in the
-    hand file, the controller reports an obstacle that does not exist. Therefore the function
-    ignores the contact event of the controller if the fit explains the whole sweep.
+    the springs of the hand file. If the real springs are stiffer than the springs in the hand file
+    by a third, the controller reports an obstacle, although no obstacle exists. Therefore the
+    function ignores the contact event of the controller if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp
@@ -307,7 +308,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a blocked joint in a digit with one tendon.
 
-    If all joints move, the text is empty.
+    If all joints of the digit move, the returned text is empty.
     """
     load = result.fit.problem.digit_load
     data = result.data
@@ -336,7 +337,8 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     The keys of the result are the names of the excited digits.
 
     If the excited digit touches a second digit, the event can name the second digit. Therefore each
-    event is assigned to the digit that was excited at the time, and not to the digit in the event.
+    event counts for the digit that was excited at the time of the event, even if the event names a
+    second digit.
     """
     events = [
         event_entry

@@ -1,9 +1,9 @@
 """Default gains of a hand: the packaged gains, with smaller motor forces for a sufficient gain margin.
 
 The packaged ``motion.force_N`` was chosen for the packaged hands. Another hand can oscillate with
-the packaged force, for example because of light motors, small pulleys or missing load cells. The
-default force of such a digit is the largest force with which every motion loop of the digit has the
-gain margin ``MIN_GAIN_MARGIN_DB``.
+the packaged force, for example because of light motors, small pulleys or missing load cells. If a
+digit would oscillate, its default force is the largest force with which every motion loop of the
+digit has the gain margin ``MIN_GAIN_MARGIN_DB``.
 """
 
 import math
@@ -37,8 +37,8 @@ With a smaller force, a digit of four joints did not follow its motion (N04) in 
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    A packaged hand keeps its packaged gains. In another hand, a digit whose motion loops have a
-    sufficient gain margin keeps the packaged motor force (``motion.force_N``), see
+    A packaged hand keeps its packaged gains. In a hand that is not packaged, a digit keeps the
+    packaged motor force (``motion.force_N``) if its motion loops have a sufficient gain margin, see
     ``MIN_PACKAGED_MARGIN_DB``. A digit also keeps the packaged motor force if no smaller force
     leads to a sufficient gain margin. ``handctl config check`` warns about digits without a
     sufficient gain margin. For all other digits, the force is reduced. The largest force of all
@@ -124,8 +124,9 @@ def _force_candidates(gains: Gains) -> list[float]:
 def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
     """Return the largest ``motion.force_N`` with which every motion loop has the gain margin [N].
 
-    The result is at most the force of the given gains. If no candidate gives the margin, the result
-    is None. Candidates below the force of the given gains are rounded down to two digits.
+    The result is at most the force of the given gains. If no tested force gives the gain margin,
+    the result is None. Tested forces below the force of the given gains are rounded down to two
+    significant digits.
 
     Args:
         hand: description of the hand.

@@ -3,21 +3,23 @@
 The first design method varies the force weight of each loop. The force weight is a motor force [N]
 that sets the weights of the LQR cost by Bryson's rule. A motor force as large as the force weight
 costs as much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. A larger force
-weight makes a loop faster and its margins smaller. Therefore the first method finds, for each
-tendon alone, the largest force weight with which all plants have the required margins. The smallest
-force weight of all tendons becomes the common ``force_N``. A tendon that permits more than twice
-the common force weight gets a separate force weight. So a digit with a small force weight, such as
-a heavy wrist, does not make other digits slow. The second design method places the poles at given
-frequencies. The eigenvalues of the closed loop confirm the reported margins. A function that the
-caller provides, such as a simulation, confirms the designed gains.
+weight makes a loop faster and its margins smaller. Therefore the first design method finds the
+largest force weight of each tendon with which all simulated plants have the required margins. The
+smallest force weight of all tendons becomes the common ``force_N``. A tendon that permits more than
+twice the common force weight gets a separate force weight. So a digit with a small force weight,
+such as a heavy wrist, does not make other digits slow. The second design method places the poles at
+given frequencies. The eigenvalues of the closed loop confirm the reported margins. A function that
+the caller provides, such as a simulation, confirms the designed gains.
 
 The second method uses an equation for a plant with one input, and with weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 
-Two ratios of weights determine two poles of the closed loop. Therefore the weights for a pair of
-poles can be computed directly, if the damping ratio is above 1/sqrt(2).
+Here, p is the characteristic polynomial of the plant. The polynomials g1 and g2 are the numerators
+of position and speed, with the weights q1 and q2. The weight of the input is r. Two ratios of
+weights determine two poles of the closed loop. Therefore the weights for a pair of poles can be
+computed directly, if the damping ratio is above 1/sqrt(2).
 Source: Kalman's symmetric root locus.
 """
 
@@ -182,8 +184,8 @@ def gains_with_poles(
         model: model of the hand with its present gains.
         kind: kind of the loop, motion or tension.
         frequency_hz: natural frequency of the pole pair [Hz].
-        damping: damping ratio of the poles, at least 1/sqrt(2). For smaller damping ratios, no
-            weights exist.
+        damping: damping ratio of the poles. For a damping ratio of 1/sqrt(2) or less, the motion
+            loop has no weights with these poles.
 
     Raises:
         ValueError: no weights lead to these poles.
@@ -428,7 +430,7 @@ def design_gains(
 def _models_with_decreasing_force(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with ever smaller force weights, except models without sufficient margins.
+    """Yield the given model, and then those models with smaller force weights that keep the required margins.
 
     First, the force weights of all loops are reduced. Then the force weights of the tension loops
     alone are limited more and more. Without load cells, the margins of a tension loop allow a large
@@ -541,8 +543,8 @@ def _largest_force(
     The search begins with the smallest possible force. Even the smallest force can violate the
     margins: if the feedback without the integrator is too weak, the integrator makes the tendon
     oscillate. After the first force that keeps the margins, the force is increased until a margin
-    is violated. A bisection between the last two forces then refines the result. Larger forces are
-    not tried.
+    is violated. A bisection then finds the limit between the last force that keeps the margins and
+    the first larger force that violates a margin. Larger forces are not tried.
     """
 
     def has_required_margins(force_logarithm: float) -> bool:

@@ -85,9 +85,9 @@ class LoopMargins:
     def shortfall(self) -> float:
         """Return the larger of two shortfalls: of the gain margin and of the phase margin.
 
-        The shortfall of a margin is the fraction of the required margin that is missing. The
-        returned shortfall is 0 or less if both margins are sufficient, and 1 or more if the loop is
-        unstable.
+        The shortfall of a margin is the fraction of the required margin that is missing. If the
+        gain margin and the phase margin are both sufficient, the returned shortfall is 0 or less.
+        If the loop is unstable, the returned shortfall is 1 or more.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -181,10 +181,11 @@ def is_stable(system: LinearSystem, loop_factor: complex = 1.0, delay_ticks: int
 def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
-    The function reduces a margin if a tested change of the loop within the margin moves an
-    eigenvalue out of the unit circle. The frequency response is known only on a grid of
-    frequencies. Without the eigenvalues, a resonance between two frequencies of the grid would not
-    be found.
+    The function changes the loop within each margin, and computes the eigenvalues of the closed
+    loop. If an eigenvalue leaves the unit circle, the function reduces the margin.
+
+    The frequency response is known only on a grid of frequencies. Only the eigenvalues show a
+    resonance between two frequencies of the grid.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -206,7 +207,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         ),
         disk=_largest_confirmed_margin(
             result.disk,
-            lambda x: _is_stable_with_factors(system, _disk_factors(x)),
+            lambda x: _is_stable_with_factors(system, _disk_margin_factors(x)),
             MARGIN_STEP_COUNT // 3,
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
@@ -222,7 +223,7 @@ def _is_stable_with_factors(
     return all(is_stable(system, complex(factor)) for factor in loop_factors)
 
 
-def _disk_factors(disk_size: float) -> NDArray[np.complex128]:
+def _disk_margin_factors(disk_size: float) -> NDArray[np.complex128]:
     """Return complex factors for the gain of the loop that lie on the edge of a balanced disk.
 
     Complex conjugate factors have the same stability. Therefore the function returns factors on

@@ -259,9 +259,9 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop oscillates too long after a step.
 
     The measurement of the oscillations begins at the time `REST_DURATION_S - EVALUATED_DURATION_S`
-    after the step. At this time, the oscillation of the loop must be below `MAX_HOLD_SWING_N`. The
-    result is valid at every tension up to the knee of a tendon, because the stiffness of the tendon
-    is constant up to the knee.
+    after the step. At this time, the oscillation of the loop must be below `MAX_HOLD_SWING_N`.
+    Below a tension called the knee, the stiffness of a tendon is constant. Therefore the result is
+    valid at every tension below the knee.
 
     Args:
         model: model of the hand with its gains.
@@ -301,9 +301,9 @@ class RestTest:
     """Test of gains in a lockstep simulation. The hand must come to rest with the tested gains.
 
     The test simulates up to three plants of the ensemble: the nominal plant, the plant with the
-    smallest margins, and the plant with the highest friction. In addition, the test simulates a
-    nominal plant whose friction is the lowest that an ensemble can contain. A simulation is
-    necessary because the linear models neglect friction.
+    smallest margins, and the plant with the highest friction. The test also simulates a nominal
+    plant with the lowest friction that an ensemble can contain. A simulation is necessary because
+    the linear models neglect friction.
 
     The links of a digit that presses on an object can chatter even at constant motor torque. The
     chatter is a property of the plant. First, the test measures the oscillation of the same plant

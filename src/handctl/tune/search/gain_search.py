@@ -2,10 +2,10 @@
 
 The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
 the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
-study and the number of the batch. Because of the batches, the result does not depend on the number
-of processes. Because of the batches, an interrupted study can also be resumed. A resumed study
-begins with the trials of the last batch that have no score yet. If a batch was only partly
-requested, the whole batch is requested again.
+study and the number of the batch. Because the size and the seed of each batch are fixed, the result
+does not depend on the number of processes. For the same reason, an interrupted study can be
+resumed. A resumed study begins with the trials of the last batch that have no score yet. If a batch
+was only partly requested, the whole batch is requested again.
 """
 
 import fcntl
@@ -192,7 +192,7 @@ def run_search(
 def without_uncommissionable_trials(
     plan: SearchPlan, result: SearchResult, show_trial: Callable[[SearchTrial], None]
 ) -> SearchResult:
-    """Return a result whose best trial can commission every plant.
+    """Mark trials as failed until the gains of the best trial can commission every plant, and return the result.
 
     The exercise begins with a commissioned hand, so that its score does not show whether the gains
     can commission the hand. The function commissions the plants with the gains of the best trial.
