@@ -204,8 +204,8 @@ def _remove_all_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int
 def _replay_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Replace the frames of every answer of a node by the frames of an earlier answer.
 
-    The inserted frames are those that the node sent ``fault.size`` answers earlier. The first
-    ``fault.size`` answers stay unchanged.
+    The inserted frames come from the answer that the node sent ``fault.size`` answers earlier. The
+    first ``fault.size`` answers stay unchanged.
     """
     active_fault.answer_count += 1
     # The release time of the stored frames is NEVER_NS plus the number of the answer. So

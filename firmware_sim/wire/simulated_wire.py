@@ -183,7 +183,10 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if a controller can receive the present frame: it does not send the frame, and is not bus-off."""
+        """Return True if at least one controller can receive the present frame.
+
+        A controller that sends the frame or is bus-off cannot receive the frame.
+        """
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True

@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The commands on the pages name the reader's own files and hands. The tests replace the reader's
-files and hands by packaged files and hands.
+A reader executes the commands of the pages with own files and hands. The tests write packaged files
+and hands under the names in the commands.
 """
 
 import re

@@ -50,7 +50,7 @@ def mean_held_tensions(
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the time at which the motion is repeated, in the log of the run that repeats the motion [s]."""
+    """Return the time at which the repeated motion begins, in the log of the repetition [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 

@@ -76,8 +76,8 @@ def _put_chunk(
 ) -> None:
     """Write a log in which the content of one chunk is replaced.
 
-    The written file ends after the last record of the scan, so it does not contain the checksum at
-    the end of a log.
+    The written file ends after the last record in ``record_scan``. The checksum that is usually at
+    the end of a log is therefore missing.
     """
     log_bytes = log_path.read_bytes()
     compressed_content = lz4.frame.compress(new_content)

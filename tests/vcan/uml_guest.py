@@ -40,9 +40,10 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return the way in which the present machine provides vcan: "native" or "uml".
+    """Return the way in which the present machine provides vcan, "native" or "uml", and an empty reason.
 
-    If the machine does not provide vcan, return an empty text and the reason.
+    If the machine does not provide vcan, the way is an empty text, and the reason explains why vcan
+    is missing.
     """
     if shutil.which("unshare") is not None:
         trial = subprocess.run(

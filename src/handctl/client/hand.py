@@ -249,8 +249,8 @@ class HandClient:
     def open(self) -> Self:
         """Wait until the hand accepts goals, as the start of a ``with`` block does.
 
-        Notebooks, which cannot use a `with` block over several cells, need this method. The errors
-        of this method are those of ``__enter__``. Call ``close`` at the end.
+        Notebooks, which cannot use a `with` block over several cells, need this method. This method
+        raises the same errors as ``__enter__``. Call ``close`` at the end.
         """
         with ExitStack() as exit_stack:
             exit_stack.callback(self._finish_command, False)
@@ -420,8 +420,9 @@ class HandClient:
     ) -> Observation:
         """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
-        The method ``release`` ends the hold phase and continues the task. A method that sets a
-        goal, such as ``move``, ends both the hold phase and the task.
+        The method ``release`` ends the hold phase and continues the task. If the program sets a
+        goal during the hold phase, for example with ``move``, the task ends without its remaining
+        phases.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
@@ -547,7 +548,7 @@ class HandClient:
 
         The returned iterator never waits.
 
-        The argument and the errors are the same as in ``observations``.
+        This method has the same argument as ``observations``, and raises the same errors.
         """
         reader = self._open_reader()
         reader.last_read_number = reader.written_count
@@ -695,7 +696,7 @@ class HandClient:
     def stop(self) -> None:
         """Relax and disarm the hand, and end the run.
 
-        The run ends even if another process has started the controller.
+        The run also ends if another process than this program has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
@@ -743,7 +744,7 @@ class HandClient:
         return float(line["t_s"])
 
     def _start_heartbeat(self) -> None:
-        """Start the thread that renews the lease from now on."""
+        """Start the thread that renews the lease. If there is no lease, or if the thread already runs, do nothing."""
         with self._lock:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return

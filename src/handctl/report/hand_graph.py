@@ -149,8 +149,8 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 def _tendon_label(tendon: Tendon) -> str:
     """Return the label of a tendon.
 
-    The label of a tendon in a spool pair is the name and the pretension. The label of any other
-    tendon is only the name.
+    For a tendon in a spool pair, the label contains the name and the pretension of the tendon. For
+    any other tendon, the label contains only the name.
     """
     if tendon.pretension_N is None:
         return tendon.name

@@ -303,7 +303,7 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return, for each mark, the position of its name: the left end [s] and the height.
+    """Return where the name of each mark is written: the time [s] at the left end of the name, and the height.
 
     If there is no space for the name of a mark, the position is None.
 

@@ -356,9 +356,9 @@ def _lines_of_section_kind(
     table_of_template: dict[str, TomlTable],
     section_tables: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the converted hand file for one kind of section.
+    """Return the lines of the converted hand file for all sections of one kind.
 
-    The lines for a section kind contain its default, its templates and its sections.
+    The lines contain the default of this kind, the templates of this kind, and the sections.
     """
     lines = ["", *(section_tables[0].comments_before if section_tables else [])]
     if default_entries:

@@ -51,7 +51,7 @@ class TopicConverters:
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Choose the conversion of each topic.
+        """Choose the function that converts the chunks of each topic.
 
         Args:
             run: data about the run and the hand of the log.
