@@ -267,11 +267,13 @@ def _start_torque_ripple(world: Any, active_fault: ActiveFault) -> UndoFunction:
     motor = world.plant.motors[active_fault.fault.instance]
     fault = active_fault.fault
 
-    def apply(command: float) -> float:
+    def add_ripple(torque_command: float) -> float:
         active_fault.count_effect(int(world.t_ns))
-        return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
+        return torque_command + fault.size * math.sin(
+            2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9
+        )
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = add_ripple
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
@@ -337,17 +339,17 @@ def _start_late_commands(world: Any, active_fault: ActiveFault) -> UndoFunction:
     delay_ns = round(active_fault.fault.size * 1e6)
     queued_commands: deque[tuple[int, float]] = deque()
 
-    def apply(command: float) -> float:
+    def delay_torque_command(torque_command: float) -> float:
         now_ns = int(world.plant.t_ns)
-        queued_commands.append((now_ns, command))
+        queued_commands.append((now_ns, torque_command))
         while len(queued_commands) > 1 and queued_commands[1][0] <= now_ns - delay_ns:
             queued_commands.popleft()
-        delayed_command = queued_commands[0][1]
-        if abs(delayed_command - command) > 1e-9:
+        delayed_torque_command = queued_commands[0][1]
+        if abs(delayed_torque_command - torque_command) > 1e-9:
             active_fault.count_effect(int(world.t_ns))
-        return delayed_command
+        return delayed_torque_command
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = delay_torque_command
     return lambda: setattr(motor, "power_stage_fault", None)
 
 

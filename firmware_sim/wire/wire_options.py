@@ -53,7 +53,7 @@ class WireSpec:
         """
         return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 
-    def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
+    def bit_rates(self, bitrate: int, data_bitrate: int) -> BitRates:
         """Return the bit rates of a bus. Rates on the command line replace the rates in the hand file.
 
         Args:

@@ -36,7 +36,8 @@ def mean_held_tensions(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean tension [N] of each tendon while the grasp is at rest, for both runs.
 
-    The two returned arrays (tendons,) belong to the recorded run and to its repetition.
+    The first returned array (tendons,) belongs to the recorded run, and the second array to the
+    repetition of this run.
     """
     phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)

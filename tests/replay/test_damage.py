@@ -62,12 +62,14 @@ def _change_message(
                 changed_content[
                     message.start + matching_rows[0] * message.records.shape[1] + 31 + byte_offset
                 ] ^= 0x10
-                _put_chunk(log_path, scan, chunk, bytes(changed_content), has_valid_checksum)
+                _write_log_with_chunk(
+                    log_path, scan, chunk, bytes(changed_content), has_valid_checksum
+                )
                 return
     raise AssertionError("no such message")
 
 
-def _put_chunk(
+def _write_log_with_chunk(
     log_path: Path,
     record_scan: RecordScan,
     chunk: ChunkLocation,

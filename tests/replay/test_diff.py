@@ -130,12 +130,12 @@ def test_unknown_differences_are_not_printed() -> None:
     If the second run is ahead of the first run, handctl prints "10.0 ms ahead", and not "-10 ms
     behind".
     """
-    unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
+    unknown_difference = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     early_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     simultaneous_difference = early_difference | {"delay_s": -1e-6}
     compared = {
-        "joint_deg": {"j1": unknown, "j2": early_difference},
-        "tendon_N": {"slack": unknown, "rope": simultaneous_difference},
+        "joint_deg": {"j1": unknown_difference, "j2": early_difference},
+        "tendon_N": {"slack": unknown_difference, "rope": simultaneous_difference},
     }
     assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",

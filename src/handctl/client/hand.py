@@ -268,7 +268,7 @@ class HandClient:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         self._finish_command(raises_error=error_type is None)
 
@@ -528,8 +528,8 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that reads more than a second behind the controller misses ticks. If a program has
-        missed ticks, the tick number ``k`` increases by more than 1.
+        A program that reads more than a second behind the controller misses ticks. After missed
+        ticks, the tick number ``k`` of the next observation is larger by more than 1.
 
         Args:
             timeout_s: longest time to wait for the next tick [s].

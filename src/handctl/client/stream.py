@@ -112,7 +112,7 @@ class TargetStream:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         """Close the stream."""
         self.close()

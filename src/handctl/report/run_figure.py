@@ -143,7 +143,8 @@ def _add_titles_and_phases(
 def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
     """Limit the value axis of a row of plots to the values that occur while the hand is active.
 
-    Values of an inactive hand are ignored, because joints without tendon tension can move far.
+    While the hand is inactive, joints without tendon tension can move far. Values from this time
+    have no effect on the value axis.
     """
     lines = [line.get_data() for axes in axes_row for line in axes.lines]
     visible_values = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])

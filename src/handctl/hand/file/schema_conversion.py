@@ -199,11 +199,11 @@ def _remove_shared_values(
 
     The entry contains the comments that the tables have about the value.
     """
-    first_values = section_tables[0].values()
+    values_of_first_section = section_tables[0].values()
     other_values = [block.values() for block in section_tables[1:]]
     keys = [
         key
-        for key, value in first_values.items()
+        for key, value in values_of_first_section.items()
         if may_be_shared(key, value)
         and all(
             key in other_block_values and _are_equal(other_block_values[key], value)

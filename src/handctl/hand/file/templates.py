@@ -488,6 +488,6 @@ def _list_of_tables(value: Any) -> list[TableContent]:
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name by which key paths identify a section, or the position of a section without a name."""
+    """Return the text that identifies a section in key paths: its name, or the position of a section without a name."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)
