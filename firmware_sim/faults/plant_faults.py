@@ -82,19 +82,19 @@ def _start_reading_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
 
 
 def _make_reading_fault(
-    active_fault: ActiveFault, now_ns: Callable[[], int]
+    active_fault: ActiveFault, read_clock_ns: Callable[[], int]
 ) -> Callable[[float], float]:
     """Return a function that changes each reading of a sensor, as the kind of the fault requires.
 
     Args:
         active_fault: active fault, which counts its effects.
-        now_ns: function that returns the present time [ns].
+        read_clock_ns: function that returns the present time [ns].
 
     Returns:
         Function that takes the true reading and returns the changed reading.
     """
     fault = active_fault.fault
-    start_ns = now_ns()
+    start_ns = read_clock_ns()
     readings = list[float]()
     rng = random.Random(f"reading {fault.seed} {fault.text}")
 
@@ -102,13 +102,13 @@ def _make_reading_fault(
         if not readings:
             readings.append(value)
         if fault.kind == "old":
-            return _delayed_reading(active_fault, readings, value, now_ns())
+            return _delayed_reading(active_fault, readings, value, read_clock_ns())
         if fault.kind == "stuck":
             faulty_reading = readings[0]
         elif fault.kind == "offset":
             faulty_reading = value + fault.size
         elif fault.kind == "drift":
-            faulty_reading = value + fault.size * (now_ns() - start_ns) * 1e-9
+            faulty_reading = value + fault.size * (read_clock_ns() - start_ns) * 1e-9
         elif fault.kind == "scale":
             faulty_reading = readings[0] + fault.size * (value - readings[0])
         elif fault.kind == "noise":
@@ -116,7 +116,7 @@ def _make_reading_fault(
         else:
             faulty_reading = math.copysign(OUT_OF_RANGE_TENSION_N, fault.size)
         if faulty_reading != value:
-            active_fault.count_effect(now_ns())
+            active_fault.count_effect(read_clock_ns())
         return faulty_reading
 
     return apply_reading_fault
@@ -365,17 +365,17 @@ def _start_servo_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     last_torque = motor.servo.torque
     max_torque_N_m = world.motor_spec(fault.instance).torque_max
 
-    def apply(command: float) -> float:
-        changed_command: float = {
-            "disobey": fault.size * command,
+    def replace_torque_command(torque_command: float) -> float:
+        changed_torque_command: float = {
+            "disobey": fault.size * torque_command,
             "runaway": fault.size * max_torque_N_m,
             "off": 0.0,
         }.get(fault.kind, last_torque)
-        if abs(changed_command - command) > 1e-9:
+        if abs(changed_torque_command - torque_command) > 1e-9:
             active_fault.count_effect(int(world.t_ns))
-        return changed_command
+        return changed_torque_command
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = replace_torque_command
     return lambda: setattr(motor, "power_stage_fault", None)
 
 

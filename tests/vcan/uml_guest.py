@@ -152,7 +152,7 @@ def _run_in_guest(job_folder: Path, timeout_s: float, print_line: Callable[[str]
             _guest_command(job_folder), {**_environment(), "TMPDIR": _memory_folder()}
         )
     try:
-        other_lines = _print_command_output(
+        system_lines = _print_command_output(
             _read_lines(process, time.monotonic() + timeout_s), job_folder, print_line
         )
     except TimeoutError:
@@ -162,7 +162,7 @@ def _run_in_guest(job_folder: Path, timeout_s: float, print_line: Callable[[str]
     try:
         return int((job_folder / "rc").read_text())
     except FileNotFoundError:
-        for line in other_lines:
+        for line in system_lines:
             print_line(f"guest: {line}")
         return NO_EXIT_STATUS
 
@@ -289,20 +289,20 @@ def _print_command_output(
     Returns: The other lines of the guest's output, before and after the lines of the command. The
     other lines come from the Linux kernel and from init.
     """
-    other_lines: list[str] = []
+    system_lines: list[str] = []
     has_command_started = False
     for line in lines:
         if line.endswith(f"end {job_folder}"):
             if unfinished := line.removesuffix(f"end {job_folder}"):
                 print_line(unfinished)
-            return other_lines
+            return system_lines
         if has_command_started:
             print_line(line)
         elif line == f"begin {job_folder}":
             has_command_started = True
         else:
-            other_lines.append(line)
-    return other_lines
+            system_lines.append(line)
+    return system_lines
 
 
 def main() -> int:

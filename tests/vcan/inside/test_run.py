@@ -63,7 +63,11 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
 
 
 def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Repeat ``handctl run`` until a run is successful, and return the successful run and its folder."""
+    """Repeat ``handctl run`` until a run is successful, and return the successful run and its folder.
+
+    If the load of the machine stops a run, the next attempt has a smaller time scale. If a run fails
+    for another reason, the test fails.
+    """
     for number, time_scale in enumerate(TIME_SCALE_BY_ATTEMPT):
         run_folder = work_folder / str(number)
         run_folder.mkdir()
