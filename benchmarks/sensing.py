@@ -278,9 +278,10 @@ hand file is an additional error of the tension.
 - *delay*: median time from a true contact force of 0.3 N until the controller detects the contact.
 - *held*: fraction of the runs in which the hand held the object without any fault.
 
-The table in [Ten minutes to a grasp](../start/ten-minutes.md#what-the-numbers-measure) has a larger tension error and a
-smaller angle error for jamia. In the run of that table, the bias of the load cells has drifted since the tare. The
-angle error of that table compares the mean joint angle of a digit with the setpoint of the digit.""".splitlines()
+For jamia, the table in [Ten minutes to a grasp](../start/ten-minutes.md#what-the-numbers-measure) has a larger tension
+error and a smaller angle error than the table on this page. In the run of that table, the bias of the load cells has
+drifted since the tare. The angle error of that table compares the mean joint angle of a digit with the setpoint of the
+digit.""".splitlines()
 FAULT_TEXT = """\
 The next table has the faults that the controller reported when a fault was injected into the index finger of jamia
 (seed 0). The faults T03b, T04, T05, T06, T09, N02 and N14b need a load cell, and are not detected on a hand without

@@ -129,7 +129,7 @@ class LockstepHand:
 
     def fault_states(self) -> list[dict[str, object]]:
         """List each fault that was injected so far, with its state and the number of its effects."""
-        return self.world.faults.states()
+        return self.world.faults.fault_states()
 
     def truth(self) -> dict[str, list[float]]:
         """Return the present true tensions [N] and the commanded motor torques [N m], for tests."""

@@ -48,7 +48,7 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     """
     hand, seed = job
     random_source = random.Random(f"wall {seed}")
-    wall_text = WALL_SCENE.format(
+    wall_scene_text = WALL_SCENE.format(
         x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
     )
     closing_speed_deg_s = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
@@ -62,7 +62,12 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
     run = simulate_grasp(
-        hand, program_of_phases(phases), wall_text, seed=seed, last_phase="end", timeout_s=12.0
+        hand,
+        program_of_phases(phases),
+        wall_scene_text,
+        seed=seed,
+        last_phase="end",
+        timeout_s=12.0,
     )
     return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 

@@ -244,9 +244,9 @@ def draw_picture(result: dict[str, Any]) -> None:
     for row in result.get("slip", ()):
         if row["seed"] == 0:
             style = "-" if row["answered"] else ":"
-            color = "C0" if row["hand"] == "jamia" else "C1"
+            line_colour = "C0" if row["hand"] == "jamia" else "C1"
             label = f"{row['hand']}, {'force raised on slip' if row['answered'] else 'no answer'}"
-            right_axes.plot(*row["curve"], style, color=color, label=label)
+            right_axes.plot(*row["curve"], style, color=line_colour, label=label)
     right_axes.set(
         xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12)
     )

@@ -56,7 +56,7 @@ def failure_reason(run: GraspRun, case: GraspCase, motion_by_stage: list[float])
     """Describe why a grasp failed. Return an empty string for a successful grasp."""
     if run.failure:
         return run.failure
-    if run.drop_time is None:
+    if run.table_sink_start_s is None:
         return "not grasped: too few digits press"
     if max(motion_by_stage) >= 1e3 * MAX_OBJECT_MOTION_M:
         stage = int(np.argmax([value >= 1e3 * MAX_OBJECT_MOTION_M for value in motion_by_stage]))

@@ -59,7 +59,7 @@ class GraspRun:
         object_rotation: (ticks, 4) orientation of the object as a quaternion (qw, qx, qy, qz).
         events: every event of the controller, with the index of its tick.
         failure: reason why the controller ended the run.
-        drop_time: time at which the table begins to sink [s], or None.
+        table_sink_start_s: time at which the table begins to sink [s], or None.
     """
 
     t: np.ndarray
@@ -78,7 +78,7 @@ class GraspRun:
     object_rotation: np.ndarray
     events: list[tuple[int, TickEvent]] = field(default_factory=list)
     failure: str = ""
-    drop_time: float | None = None
+    table_sink_start_s: float | None = None
 
 
 def task_program(task_name: str, hand_name: str, hold_s: float | None = None) -> TaskProgram:
@@ -164,11 +164,11 @@ def simulate_grasp(
 
 def _has_program_finished(plant: Plant) -> bool:
     """Return True if all stages of the scene are over."""
-    drop_time = plant.table.dropped_at if plant.table else None
+    table_sink_start_s = plant.table.dropped_at if plant.table else None
     return (
         bool(plant.stages)
-        and drop_time is not None
-        and plant.steps * STEP_S - drop_time > plant.stages.duration
+        and table_sink_start_s is not None
+        and plant.steps * STEP_S - table_sink_start_s > plant.stages.duration
     )
 
 

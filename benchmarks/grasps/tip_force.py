@@ -24,7 +24,7 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     """Measure the mean estimated and the mean true force [N] of each digit, at each commanded force."""
     hand, seed = job
     random_source = random.Random(f"tip {seed}")
-    wall_text = WALL_SCENE.format(
+    wall_scene_text = WALL_SCENE.format(
         x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
     )
     phases: list[dict[str, Any]] = [
@@ -40,7 +40,12 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
         for f in COMMANDED_FORCES_N
     ]
     run = simulate_grasp(
-        hand, program_of_phases(phases), wall_text, seed=seed, last_phase="end", timeout_s=12.0
+        hand,
+        program_of_phases(phases),
+        wall_scene_text,
+        seed=seed,
+        last_phase="end",
+        timeout_s=12.0,
     )
     rows = []
     for command in COMMANDED_FORCES_N:

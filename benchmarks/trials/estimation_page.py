@@ -165,7 +165,7 @@ EXPLANATION_TEXTS = (
     "cell is therefore an error of the estimate as well, and can be detected only while the tendon is slack. "
     "The parameters "
     "of the columns *average* and *cell alone* were chosen for each regime after the measurement. In a few regimes, "
-    "one of these two columns therefore has a smaller error than the filter.",
+    "*average* or *cell alone* therefore has a smaller error than the filter.",
 )
 INSTANT_TEXT_BY_RATIO = {
     "filtered / raw": "At the sample",

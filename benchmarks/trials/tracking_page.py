@@ -38,9 +38,10 @@ def page_section(result: dict, compared_law_names: tuple[str, str, str, str]) ->
         " of the motion. *ended* counts the runs that a fault or the controller ended early. All other "
         "columns contain only the remaining runs.",
         "",
-        "Every control law, PD included, has two feedback weights. For each law, the weights are the "
-        "pair with the smallest error of the fast motion among the same sixteen pairs. The pairs were compared on the "
-        "nominal plant with another seed (`--tune`, results in `benchmarks/trials/tuned.json`).",
+        "Every control law, PD included, has two feedback weights. The benchmark tried the same sixteen pairs of "
+        "weights with each control law. The table uses, for each control law, the pair with the smallest error in the "
+        "fast motion. The pairs were compared on the nominal plant with another seed (`--tune`, results in "
+        "`benchmarks/trials/tuned.json`).",
         "",
         "The best weights give the stiffest control loop that does not oscillate. On jamia, the weight of a position "
         "error of 0.02 mm then equals the weight of a force of 20 N. The control loop has a gain margin of only 2 dB "
@@ -49,9 +50,9 @@ def page_section(result: dict, compared_law_names: tuple[str, str, str, str]) ->
         "",
         "Therefore a second table for each hand compares the control laws with other weights. With the "
         "other weights, the control loop keeps a gain margin of 6 dB and a phase margin of 45 degrees on random plants "
-        "around the hand file. The packaged gains must keep the same margins. Among the sixteen pairs, the table uses "
-        "the best pair that keeps these margins. The plants with wrong parameters in the third table are run with "
-        "these weights, too.",
+        "around the hand file. The packaged gains must keep the same margins. From the sixteen pairs of weights, the "
+        "second table uses the best pair that keeps these margins. The plants with wrong parameters in the third "
+        "table are run with these weights, too.",
     ]
     for hand, plants in result["hands"].items():
         rows_by_law = plants["as known"]

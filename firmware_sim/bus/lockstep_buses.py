@@ -30,7 +30,8 @@ class LockstepBuses:
         """
         self._world = world
         self.wires = [
-            SimulatedWire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates
+            SimulatedWire(spec.bit_rates(*bitrates), spec.options)
+            for bitrates in world.hand.bitrates
         ]
         self.refused = 0
         self._arrived: list[Frame] = []

@@ -272,7 +272,7 @@ def timed_port_factory(
         return None
     spec = parse_wire_options(wire_words)
     return lambda name, bus: TimedPort(
-        name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, is_node_side, spec.latency
+        name, bus, spec.bit_rates(*bitrates[bus]), spec.options, now_ns, is_node_side, spec.latency
     )
 
 

@@ -112,20 +112,20 @@ class ActiveFaults:
             for name, kind in FAULT_KINDS.items()
         ]
 
-    def states(self) -> list[dict[str, object]]:
+    def fault_states(self) -> list[dict[str, object]]:
         """List each fault injected so far, with state and number of effects."""
-        active_now = [active_fault for active_fault, _ in self._acting]
+        acting_faults = [active_fault for active_fault, _ in self._acting]
         return [
             {
                 "fault": active_fault.fault.text,
                 "state": "waiting"
                 if active_fault in self._waiting
                 else "acting"
-                if active_fault in active_now
+                if active_fault in acting_faults
                 else "over",
                 "start_ns": active_fault.fault.start_ns,
                 "felt": active_fault.effect_count,
-                "first_ns": active_fault.first_ns,
+                "first_ns": active_fault.first_effect_ns,
             }
             for active_fault in self.injected
         ]
@@ -170,15 +170,15 @@ class ActiveFaults:
 
     def due_ns(self) -> int:
         """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is due."""
-        due_times = [active_fault.fault.start_ns for active_fault in self._waiting]
+        due_times_ns = [active_fault.fault.start_ns for active_fault in self._waiting]
         for active_fault, _ in self._acting:
-            due_times += [
+            due_times_ns += [
                 active_fault.fault.start_ns + active_fault.fault.duration_ns,
                 *(release_ns for release_ns, _ in active_fault.delayed_frames),
             ]
             if active_fault.fault.kind in FRAME_SENDING_FAULTS:
-                due_times.append(self._turn_ns)
-        return min(due_times, default=FOREVER_NS)
+                due_times_ns.append(self._turn_ns)
+        return min(due_times_ns, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
         """Update the table that lists the faults of each node, and the identifiers of the nodes.

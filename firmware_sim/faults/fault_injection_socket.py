@@ -97,7 +97,7 @@ class FaultInjectionSocket:
         elif not isinstance(request, dict) or not request.get("list"):
             return {"error": 'expected {"inject": TEXT}, {"list": true} or {"kinds": true}'}
         return {
-            "faults": self._faults.states()[-20:],
+            "faults": self._faults.fault_states()[-20:],
             "t_ns": self._faults.t_ns,
             "slip_ns": self._faults.slip_ns,
         }

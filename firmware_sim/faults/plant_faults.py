@@ -82,19 +82,19 @@ def _start_reading_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
 
 
 def _make_reading_fault(
-    active_fault: ActiveFault, now_ns: Callable[[], int]
+    active_fault: ActiveFault, read_clock_ns: Callable[[], int]
 ) -> Callable[[float], float]:
     """Return a function that changes each reading of a sensor, as the kind of the fault requires.
 
     Args:
         active_fault: active fault, which counts its effects.
-        now_ns: function that returns the present time [ns].
+        read_clock_ns: function that returns the present time [ns].
 
     Returns:
         Function that takes the true reading and returns the changed reading.
     """
     fault = active_fault.fault
-    start_ns = now_ns()
+    start_ns = read_clock_ns()
     readings = list[float]()
     rng = random.Random(f"reading {fault.seed} {fault.text}")
 
@@ -102,13 +102,13 @@ def _make_reading_fault(
         if not readings:
             readings.append(value)
         if fault.kind == "old":
-            return _delayed_reading(active_fault, readings, value, now_ns())
+            return _delayed_reading(active_fault, readings, value, read_clock_ns())
         if fault.kind == "stuck":
             faulty_reading = readings[0]
         elif fault.kind == "offset":
             faulty_reading = value + fault.size
         elif fault.kind == "drift":
-            faulty_reading = value + fault.size * (now_ns() - start_ns) * 1e-9
+            faulty_reading = value + fault.size * (read_clock_ns() - start_ns) * 1e-9
         elif fault.kind == "scale":
             faulty_reading = readings[0] + fault.size * (value - readings[0])
         elif fault.kind == "noise":
@@ -116,7 +116,7 @@ def _make_reading_fault(
         else:
             faulty_reading = math.copysign(OUT_OF_RANGE_TENSION_N, fault.size)
         if faulty_reading != value:
-            active_fault.count_effect(now_ns())
+            active_fault.count_effect(read_clock_ns())
         return faulty_reading
 
     return apply_reading_fault
@@ -267,11 +267,13 @@ def _start_torque_ripple(world: Any, active_fault: ActiveFault) -> UndoFunction:
     motor = world.plant.motors[active_fault.fault.instance]
     fault = active_fault.fault
 
-    def apply(command: float) -> float:
+    def add_ripple(torque_command: float) -> float:
         active_fault.count_effect(int(world.t_ns))
-        return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
+        return torque_command + fault.size * math.sin(
+            2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9
+        )
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = add_ripple
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
@@ -337,17 +339,17 @@ def _start_late_commands(world: Any, active_fault: ActiveFault) -> UndoFunction:
     delay_ns = round(active_fault.fault.size * 1e6)
     queued_commands: deque[tuple[int, float]] = deque()
 
-    def apply(command: float) -> float:
+    def delay_torque_command(torque_command: float) -> float:
         now_ns = int(world.plant.t_ns)
-        queued_commands.append((now_ns, command))
+        queued_commands.append((now_ns, torque_command))
         while len(queued_commands) > 1 and queued_commands[1][0] <= now_ns - delay_ns:
             queued_commands.popleft()
-        delayed_command = queued_commands[0][1]
-        if abs(delayed_command - command) > 1e-9:
+        delayed_torque_command = queued_commands[0][1]
+        if abs(delayed_torque_command - torque_command) > 1e-9:
             active_fault.count_effect(int(world.t_ns))
-        return delayed_command
+        return delayed_torque_command
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = delay_torque_command
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
@@ -363,17 +365,17 @@ def _start_servo_fault(world: Any, active_fault: ActiveFault) -> UndoFunction:
     last_torque = motor.servo.torque
     max_torque_N_m = world.motor_spec(fault.instance).torque_max
 
-    def apply(command: float) -> float:
-        changed_command: float = {
-            "disobey": fault.size * command,
+    def replace_torque_command(torque_command: float) -> float:
+        changed_torque_command: float = {
+            "disobey": fault.size * torque_command,
             "runaway": fault.size * max_torque_N_m,
             "off": 0.0,
         }.get(fault.kind, last_torque)
-        if abs(changed_command - command) > 1e-9:
+        if abs(changed_torque_command - torque_command) > 1e-9:
             active_fault.count_effect(int(world.t_ns))
-        return changed_command
+        return changed_torque_command
 
-    motor.power_stage_fault = apply
+    motor.power_stage_fault = replace_torque_command
     return lambda: setattr(motor, "power_stage_fault", None)
 
 

@@ -19,7 +19,8 @@ class ActiveFault:
         fault: the data of the fault.
         rng: generator of the fault's random numbers.
         effect_count: number of effects of the fault until now.
-        first_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect yet.
+        first_effect_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect
+            yet.
         delayed_frames: frames that the fault has stored, with their release times [ns].
         answer_count: number of answers handled by the fault until now.
     """
@@ -27,15 +28,15 @@ class ActiveFault:
     fault: Fault
     rng: random.Random
     effect_count: int = 0
-    first_ns: int = -1
+    first_effect_ns: int = -1
     delayed_frames: list[tuple[int, Frame]] = field(default_factory=list)
     answer_count: int = 0
 
     def count_effect(self, t_ns: int) -> None:
         """Count an effect of the fault at the given time."""
         self.effect_count += 1
-        if self.first_ns < 0:
-            self.first_ns = t_ns
+        if self.first_effect_ns < 0:
+            self.first_effect_ns = t_ns
 
     def affects_frame(self) -> bool:
         """Decide at random whether the fault affects the present frame."""
@@ -204,8 +205,8 @@ def _remove_all_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int
 def _replay_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Replace the frames of every answer of a node by the frames of an earlier answer.
 
-    The inserted frames are those that the node sent ``fault.size`` answers earlier. The first
-    ``fault.size`` answers stay unchanged.
+    The inserted frames come from the answer that the node sent ``fault.size`` answers earlier. The
+    first ``fault.size`` answers stay unchanged.
     """
     active_fault.answer_count += 1
     # The release time of the stored frames is NEVER_NS plus the number of the answer. So
@@ -213,19 +214,19 @@ def _replay_frames(active_fault: ActiveFault, frames: list[Frame], t_ns: int) ->
     active_fault.delayed_frames += [
         (NEVER_NS + active_fault.answer_count, frame) for frame in frames
     ]
-    replayed_number = active_fault.answer_count - int(active_fault.fault.size)
-    if replayed_number <= 0:
+    replayed_answer_number = active_fault.answer_count - int(active_fault.fault.size)
+    if replayed_answer_number <= 0:
         return frames
     active_fault.count_effect(t_ns)
     old_frames = [
         frame
         for number, frame in active_fault.delayed_frames
-        if number == NEVER_NS + replayed_number
+        if number == NEVER_NS + replayed_answer_number
     ]
     active_fault.delayed_frames = [
         (number, frame)
         for number, frame in active_fault.delayed_frames
-        if number > NEVER_NS + replayed_number
+        if number > NEVER_NS + replayed_answer_number
     ]
     return [frame._replace(t_ns=t_ns) for frame in old_frames]
 

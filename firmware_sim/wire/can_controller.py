@@ -19,9 +19,9 @@ from firmware_sim.bus.frame import ERROR_FLAG, Frame
 from firmware_sim.wire.frame_bits import arbitration_priority
 
 WARNING_ERROR_COUNT = 96
-"""Value of an error counter at which the state becomes WARNING."""
+"""Value of an error counter at which the state becomes ERROR_WARNING."""
 PASSIVE_ERROR_COUNT = 128
-"""Value of an error counter at which the state becomes PASSIVE."""
+"""Value of an error counter at which the state becomes ERROR_PASSIVE."""
 BUS_OFF_ERROR_COUNT = 256
 """Value of the transmit error counter at which the controller leaves the bus."""
 TX_ERROR_INCREMENT = 8
@@ -62,9 +62,9 @@ ACK_SLOT_ERROR = 0x19
 class CanErrorState(enum.IntEnum):
     """Error states of a CAN controller."""
 
-    ACTIVE = 0
-    WARNING = 1
-    PASSIVE = 2
+    ERROR_ACTIVE = 0
+    ERROR_WARNING = 1
+    ERROR_PASSIVE = 2
     BUS_OFF = 3
 
 
@@ -94,7 +94,7 @@ class CanController:
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
-        self.state = CanErrorState.ACTIVE
+        self.state = CanErrorState.ERROR_ACTIVE
         self.refused = self.sent = 0
         self.on_receive = on_receive
         self.retry_ns = 0
@@ -164,7 +164,7 @@ class CanController:
         If the sender is error-passive, a missing acknowledgement does not change its transmit error
         counter. So a controller that is alone on a bus never reaches the state bus-off.
         """
-        if self.state < CanErrorState.PASSIVE:
+        if self.state < CanErrorState.ERROR_PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
         self._report_transmit_error(CAN_ERR_ACK, t_ns)
 
@@ -181,7 +181,7 @@ class CanController:
     def restart(self, t_ns: int) -> None:
         """Restart the controller after the state bus-off, with all error counters at zero."""
         self.tx_errors = self.rx_errors = 0
-        self.state = CanErrorState.ACTIVE
+        self.state = CanErrorState.ERROR_ACTIVE
         self._last_error = 0
         self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
 
@@ -226,11 +226,11 @@ class CanController:
 
     def _status_bits(self) -> int:
         """Return the value of payload byte 1 in an error frame that reports the present error state."""
-        if self.state == CanErrorState.ACTIVE:
+        if self.state == CanErrorState.ERROR_ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
             (WARNING_ERROR_COUNT, RX_WARNING, TX_WARNING)
-            if self.state == CanErrorState.WARNING
+            if self.state == CanErrorState.ERROR_WARNING
             else (PASSIVE_ERROR_COUNT, RX_PASSIVE, TX_PASSIVE)
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)

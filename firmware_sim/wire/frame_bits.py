@@ -32,20 +32,20 @@ class BitRates:
     """Bit rates of a wire.
 
     Attributes:
-        nominal: bit rate of the arbitration and of classical frames [bit/s].
-        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
+        nominal_bit_s: bit rate of the arbitration and of classical frames [bit/s].
+        data_bit_s: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
             bus without CAN FD.
         are_stuff_bits_counted: True to count the actual stuff bits of each frame, and False to
             count the largest possible number of stuff bits for the length of the frame.
     """
 
-    nominal: int
-    data: int = 0
+    nominal_bit_s: int
+    data_bit_s: int = 0
     are_stuff_bits_counted: bool = False
 
     def duration_of_bits_ns(self, count: int) -> int:
         """Return the duration of the given number of bits at the nominal bit rate [ns]."""
-        return round(count * 1e9 / self.nominal)
+        return round(count * 1e9 / self.nominal_bit_s)
 
     def frame_duration_ns(self, frame: Frame) -> int:
         """Return the time for which a frame occupies the wire [ns], including the interframe space."""
@@ -56,7 +56,8 @@ class BitRates:
             frame.can_id, content, frame.flags & (FDF | BRS), self.are_stuff_bits_counted
         )
         return round(
-            nominal_bits * 1e9 / self.nominal + data_bits * 1e9 / (self.data or self.nominal)
+            nominal_bits * 1e9 / self.nominal_bit_s
+            + data_bits * 1e9 / (self.data_bit_s or self.nominal_bit_s)
         )
 
 
@@ -181,6 +182,6 @@ def _crc15(bit_string: str) -> str:
     for bit in bit_string:
         # The line below is one step of the CRC's shift register, with the feedback of the top bit
         # and the input bit.
-        shifted_bit = register >> 14 ^ (bit == "1")
-        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if shifted_bit else 0)
+        feedback_bit = register >> 14 ^ (bit == "1")
+        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if feedback_bit else 0)
     return format(register, "015b")

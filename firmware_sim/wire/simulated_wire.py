@@ -17,9 +17,9 @@ NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 DEFAULT_QUEUE_DEPTH = 128
 """Default capacity of a controller's queue [frames], as set by ``ip link set can0 txqueuelen 128``."""
-ERROR_FLAGS_BITS = 12 + 8
+SUPERPOSED_ERROR_FLAG_BITS = 12 + 8
 """Number of bits of the superposed error flags of several controllers, plus the bits of the error delimiter."""
-ERROR_FLAG_BITS = 6 + 8
+SINGLE_ERROR_FLAG_BITS = 6 + 8
 """Number of bits of the error flag of a sender that is alone on the bus, plus the bits of the error delimiter."""
 END_OF_FRAME_BITS = 1 + 7
 """Number of bits that a destroyed frame lacks at its end: acknowledge delimiter and end of frame."""
@@ -177,13 +177,17 @@ class SimulatedWire:
             # After an error, an error flag replaces the rest of the frame. The error flag is longer
             # if several controllers send error flags.
             frame_duration_ns += self.rate.duration_of_bits_ns(
-                (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - END_OF_FRAME_BITS
+                (SUPERPOSED_ERROR_FLAG_BITS if self._acknowledged else SINGLE_ERROR_FLAG_BITS)
+                - END_OF_FRAME_BITS
             )
         self.busy_ns += frame_duration_ns
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if a controller can receive the present frame: it does not send the frame, and is not bus-off."""
+        """Return True if at least one controller can receive the present frame.
+
+        A controller that sends the frame or is bus-off cannot receive the frame.
+        """
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True
@@ -249,7 +253,7 @@ class SimulatedWire:
 
     def _suspend_transmission(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
-        if controller.state == CanErrorState.PASSIVE:
+        if controller.state == CanErrorState.ERROR_PASSIVE:
             controller.retry_ns = t_ns + self.rate.duration_of_bits_ns(SUSPEND_BITS)
 
     def _restart_controllers(self, t_ns: int) -> None:

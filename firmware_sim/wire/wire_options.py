@@ -35,14 +35,14 @@ class WireSpec:
             the rate in the hand file.
         data_bitrate: data bit rate that replaces the rate in the hand file [bit/s], 0 to keep
             the rate in the hand file.
-        adapter: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
+        adapter_class: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
     """
 
     options: WireOptions = field(default_factory=WireOptions)
     are_stuff_bits_counted: bool = False
     bitrate: int = 0
     data_bitrate: int = 0
-    adapter: str = NO_LATENCY_CLASS
+    adapter_class: str = NO_LATENCY_CLASS
 
     def latency(self, adapter_number: int) -> AdapterLatency:
         """Return the latency of a host's CAN adapter.
@@ -51,9 +51,9 @@ class WireSpec:
             adapter_number: number of the adapter. The number of the adapter determines at which
                 random time of the period its USB frames start.
         """
-        return AdapterLatency(self.adapter, self.options.seed + adapter_number)
+        return AdapterLatency(self.adapter_class, self.options.seed + adapter_number)
 
-    def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
+    def bit_rates(self, bitrate: int, data_bitrate: int) -> BitRates:
         """Return the bit rates of a bus. Rates on the command line replace the rates in the hand file.
 
         Args:
@@ -95,7 +95,7 @@ def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
             raise SimulatorError(
                 f"--wire {option_text}: expected one of {', '.join(ADAPTER_CLASSES)}"
             )
-        return replace(spec, adapter=text)
+        return replace(spec, adapter_class=text)
     if key == "error_rate":
         return replace(
             spec,

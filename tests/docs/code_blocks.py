@@ -63,7 +63,7 @@ def keeps_running(block: FencedBlock) -> bool:
 
 def run_code_blocks(
     code_blocks: Sequence[FencedBlock],
-    prepare: Callable[[Path], None] | None = None,
+    write_files: Callable[[Path], None] | None = None,
     parallel_commands: Sequence[str] = (),
 ) -> None:
     """Execute the commands of a documentation page in an empty folder.
@@ -71,7 +71,7 @@ def run_code_blocks(
     Args:
         code_blocks: blocks of the page. The function writes the file blocks of the page to files
             before it executes commands.
-        prepare: function that writes further files into the folder.
+        write_files: function that writes further files into the folder.
         parallel_commands: further commands, which run during the commands of the page.
     """
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
@@ -79,8 +79,8 @@ def run_code_blocks(
     environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
     process_options: dict[str, Any] = {"cwd": folder, "env": environment, "text": True}
     background_processes: list[subprocess.Popen[str]] = []
-    if prepare:
-        prepare(folder)
+    if write_files:
+        write_files(folder)
     for block in filter(is_file_block, code_blocks):
         (folder / block.title).write_text(replace_socketcan_buses(block.text))
     try:

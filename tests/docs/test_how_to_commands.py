@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The commands on the pages name the reader's own files and hands. The tests replace the reader's
-files and hands by packaged files and hands.
+A reader executes the commands of the pages with own files and hands. The tests write packaged files
+and hands under the names in the commands.
 """
 
 import re
@@ -47,7 +47,7 @@ PAGES_WITH_SHORT_COMMANDS = ("how-to/logs.md", "how-to/other-tools.md")
 The commands of pages that are not in this list run in nightly test runs, because each page takes
 from ten seconds to minutes.
 """
-SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
+SIMULATED_HAND_COMMAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
     "how-to/bring-up.md": ("handctl sim --hand mine.toml --bus local:can0",),
     "how-to/drive-modes.md": (
@@ -122,7 +122,9 @@ def test_the_commands_of_a_page_run(page: str) -> None:
 def test_the_programs_of_a_page_run(page: str) -> None:
     programs = [block for block in EXECUTED_BLOCKS_BY_PAGE[page] if block.language == "python"]
     command_blocks = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
-    run_code_blocks([*programs, *command_blocks], file_writer_for_page(page), (SIMULATED_HAND,))
+    run_code_blocks(
+        [*programs, *command_blocks], file_writer_for_page(page), (SIMULATED_HAND_COMMAND,)
+    )
 
 
 @pytest.mark.realtime

@@ -102,13 +102,13 @@ def test_a_page_has_the_same_title_everywhere() -> None:
 def test_every_page_is_in_the_navigation_once() -> None:
     settings = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     listed_pages = navigation_pages(settings["nav"])
-    waiting = settings["not_in_nav"].split()
+    unlisted_page_patterns = settings["not_in_nav"].split()
     pages = {path.relative_to(DOCS_FOLDER).as_posix() for path in DOCS_FOLDER.rglob("*.md")}
     assert len(set(listed_pages)) == len(listed_pages)
     assert set(listed_pages) <= pages
     unlisted_pages = {
         page
         for page in pages - set(listed_pages)
-        if not any(fnmatch(f"/{page}", page_pattern) for page_pattern in waiting)
+        if not any(fnmatch(f"/{page}", page_pattern) for page_pattern in unlisted_page_patterns)
     }
     assert unlisted_pages == set()

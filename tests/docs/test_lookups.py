@@ -49,11 +49,11 @@ def section_lines(page: str, heading_anchor: str) -> str:
     return text
 
 
-def word_count_before_answer(page: str, heading_anchor: str, answer: str) -> int:
+def word_count_before_answer(page: str, heading_anchor: str, answer_pattern: str) -> int:
     """Return the number of words from a heading to an answer, or from the start of the page if no heading is given."""
     text = section_lines(page, heading_anchor)
-    match = re.search(answer, text)
-    assert match, f"{page}: no {answer}"
+    match = re.search(answer_pattern, text)
+    assert match, f"{page}: no {answer_pattern}"
     return len(re.findall(r"[^\W_][\w.-]*", text[: match.start()]))
 
 

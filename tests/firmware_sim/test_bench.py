@@ -455,7 +455,7 @@ def test_faults_act_on_bench_drives(protocol: str) -> None:
     assert bench.receive(requests[protocol])
     bench.faults.inject(f"duplicate node={protocol}2")
     assert len(bench.receive(requests[protocol])) == 2
-    assert all(state["felt"] for state in bench.faults.states())
+    assert all(state["felt"] for state in bench.faults.fault_states())
 
 
 def test_a_fault_of_a_bench_drive_reaches_its_power_stage() -> None:

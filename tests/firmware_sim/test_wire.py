@@ -151,7 +151,7 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     wire.advance(10**9)
     assert wire.frames == 0
     assert single_bus_member.controller.tx_errors == 128
-    assert single_bus_member.controller.state == CanErrorState.PASSIVE
+    assert single_bus_member.controller.state == CanErrorState.ERROR_PASSIVE
     assert single_bus_member.error_class_bits == [0x20, 0x24, 0x24], (
         "missing acknowledge, then with warning, then with passive"
     )
@@ -182,7 +182,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert receiver.received_ids == [], "waiting frames are lost"
     wire.advance(10**9)
     assert sender.error_class_bits[-1] == 0x100
-    assert sender.controller.state == CanErrorState.ACTIVE
+    assert sender.controller.state == CanErrorState.ERROR_ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
     sender.controller.queue_frame(Frame(3, b""), 10**9)
     wire.advance(2 * 10**9)
@@ -198,7 +198,9 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     assert wire.next_event_ns() == NEVER_NS
     receiver.controller.queue_frame(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
-    assert receiver.controller.state == CanErrorState.PASSIVE, "the receiver gets no acknowledge"
+    assert receiver.controller.state == CanErrorState.ERROR_PASSIVE, (
+        "the receiver gets no acknowledge"
+    )
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
@@ -206,11 +208,11 @@ def test_successful_frames_reduce_the_error_counters() -> None:
     sender, receiver = add_controllers(wire, 2)
     destroy_frames(wire, sender.controller, 13, 0)
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
-    assert sender.controller.state == CanErrorState.WARNING
+    assert sender.controller.state == CanErrorState.ERROR_WARNING
     for n in range(8):
         sender.controller.queue_frame(Frame(n, b""), 10**9)
     wire.advance(2 * 10**9)
-    assert sender.controller.state == CanErrorState.ACTIVE
+    assert sender.controller.state == CanErrorState.ERROR_ACTIVE
     assert sender.errors[-1].data[1] == 0x40, "CAN_ERR_CRTL_ACTIVE"
     assert receiver.controller.rx_errors == 4
 

@@ -314,7 +314,7 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
         torque_at_rest = pinocchio.computeGeneralizedGravity(model, data, pinocchio_result[0])[
             order
         ]
-        springs = tree.stiffness * (q + tree.preload)
+        springs = tree.spring_stiffness * (q + tree.spring_preload)
         assert np.allclose(tree.static_torque(q) - springs, torque_at_rest, rtol=0.0, atol=1e-12)
         pinocchio.framesForwardKinematics(model, data, pinocchio_result[0])
         for digit, points_of_digit in zip(tree.digits, tree.points(q), strict=True):

@@ -36,7 +36,8 @@ def mean_held_tensions(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean tension [N] of each tendon while the grasp is at rest, for both runs.
 
-    The two returned arrays (tendons,) belong to the recorded run and to its repetition.
+    The first returned array (tendons,) belongs to the recorded run, and the second array to the
+    repetition of this run.
     """
     phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
@@ -50,7 +51,7 @@ def mean_held_tensions(
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the time at which the motion is repeated, in the log of the run that repeats the motion [s]."""
+    """Return the time at which the repeated motion begins, in the log of the repetition [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 

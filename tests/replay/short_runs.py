@@ -75,17 +75,18 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrap a lockstep simulator, and drop some of the simulator's replies.
 
-    From the time ``since_ns`` on, the wrapper drops all replies with the identifier ``can_id``.
+    From the time ``drop_start_ns`` on, the wrapper drops all replies with the identifier
+    ``can_id``.
 
     Attributes:
         simulator: the wrapped simulator, which sends all replies.
         can_id: CAN identifier of the replies that the wrapper drops.
-        since_ns: time from which on replies are dropped [ns].
+        drop_start_ns: time from which on replies are dropped [ns].
     """
 
     simulator: LockstepSimulator
     can_id: int
-    since_ns: int
+    drop_start_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
         """Step the wrapped simulator, and return those of its replies that the wrapper does not drop."""
@@ -93,7 +94,7 @@ class PeerWithLostReplies:
         return [
             reply
             for reply in replies
-            if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id
+            if t_ns < self.drop_start_ns or Frame(*reply).can_id != self.can_id
         ]
 
     def close(self) -> None:
@@ -156,8 +157,8 @@ def record_lockstep_run(
     }
     recorder = Recorder.start(log_path, replace(header, wall={}, attachments=attachments))
 
-    def record(entry: TickIn, out: TickOut) -> None:
-        recorder.send_record(pack_tick_record(entry, out))
+    def record(tick_input: TickIn, tick_output: TickOut) -> None:
+        recorder.send_record(pack_tick_record(tick_input, tick_output))
 
     control_loop = ControlLoop(
         clock,
@@ -168,7 +169,7 @@ def record_lockstep_run(
         lambda: (requests or {}).get(clock.k, ()),
         lambda: [*recorder.take_events(), *(io_events or {}).get(clock.k, ())],
         record,
-        lambda entry, out: None,
+        lambda tick_input, tick_output: None,
         snapshot_recorder(recorder),
     )
     try:

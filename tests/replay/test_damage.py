@@ -62,12 +62,14 @@ def _change_message(
                 changed_content[
                     message.start + matching_rows[0] * message.records.shape[1] + 31 + byte_offset
                 ] ^= 0x10
-                _put_chunk(log_path, scan, chunk, bytes(changed_content), has_valid_checksum)
+                _write_log_with_chunk(
+                    log_path, scan, chunk, bytes(changed_content), has_valid_checksum
+                )
                 return
     raise AssertionError("no such message")
 
 
-def _put_chunk(
+def _write_log_with_chunk(
     log_path: Path,
     record_scan: RecordScan,
     chunk: ChunkLocation,
@@ -76,8 +78,8 @@ def _put_chunk(
 ) -> None:
     """Write a log in which the content of one chunk is replaced.
 
-    The written file ends after the last record of the scan, so it does not contain the checksum at
-    the end of a log.
+    The written file ends after the last record in ``record_scan``. The checksum that is usually at
+    the end of a log is therefore missing.
     """
     log_bytes = log_path.read_bytes()
     compressed_content = lz4.frame.compress(new_content)

@@ -160,7 +160,7 @@ def test_jumps_become_ramps_by_a_speed(exported_dataset: Path) -> None:
         find_episode(exported_dataset, 1, JAMIA_HAND, PERIOD_S, 900.0)
 
 
-def edit_info(exported_dataset: Path, **changed_fields: object) -> None:
+def edit_dataset_info(exported_dataset: Path, **changed_fields: object) -> None:
     """Change fields in the file that describes a dataset."""
     path = exported_dataset / "meta" / "info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changed_fields))
@@ -181,7 +181,7 @@ def edit_info(exported_dataset: Path, **changed_fields: object) -> None:
 def test_a_wrong_description_is_refused(
     exported_dataset: Path, changed_fields: dict[str, object], expected_message: str
 ) -> None:
-    edit_info(exported_dataset, **changed_fields)
+    edit_dataset_info(exported_dataset, **changed_fields)
     with pytest.raises(ConfigError, match=expected_message):
         find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
 

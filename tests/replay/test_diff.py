@@ -15,10 +15,10 @@ from handctl.replay.run_comparison import compare_signals, difference_lines
 
 def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:
     with (
-        RunLog(golden_folder / "jamia-grasp.mcap") as a,
-        RunLog(golden_folder / "jamia-grasp.mcap") as b,
+        RunLog(golden_folder / "jamia-grasp.mcap") as first_log,
+        RunLog(golden_folder / "jamia-grasp.mcap") as second_log,
     ):
-        comparison = compare_logs(a, b, "b")
+        comparison = compare_logs(first_log, second_log, "b")
     assert (comparison["gains"], comparison["only_in_first"], comparison["only_in_second"]) == (
         {},
         [],
@@ -34,10 +34,10 @@ def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:
 
 def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
     with (
-        RunLog(golden_folder / "jamia-grasp.mcap") as a,
-        RunLog(golden_folder / "jamia-lost.mcap") as b,
+        RunLog(golden_folder / "jamia-grasp.mcap") as first_log,
+        RunLog(golden_folder / "jamia-lost.mcap") as second_log,
     ):
-        comparison = compare_logs(a, b, "b")
+        comparison = compare_logs(first_log, second_log, "b")
     # While a digit is in contact, its tension determines its joint angles. A tension difference of
     # one newton changes the joint angles of the digit by some degrees.
     assert comparison["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
@@ -46,20 +46,20 @@ def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
 
 def test_phases_of_only_one_run_are_named(golden_folder: Path) -> None:
     with (
-        RunLog(golden_folder / "jamia-grasp.mcap") as a,
-        RunLog(golden_folder / "jamia-fault.mcap") as b,
+        RunLog(golden_folder / "jamia-grasp.mcap") as first_log,
+        RunLog(golden_folder / "jamia-fault.mcap") as second_log,
     ):
-        comparison = compare_logs(a, b, "b")
+        comparison = compare_logs(first_log, second_log, "b")
     assert comparison["only_in_first"] == ["release", "end"]
 
 
 def test_another_hand_s_log_is_refused(golden_folder: Path) -> None:
     with (
-        RunLog(golden_folder / "jamia-grasp.mcap") as a,
-        RunLog(golden_folder / "jamia11-grasp.mcap") as b,
+        RunLog(golden_folder / "jamia-grasp.mcap") as first_log,
+        RunLog(golden_folder / "jamia11-grasp.mcap") as second_log,
         pytest.raises(IncomparableError, match="jamia11"),
     ):
-        compare_logs(a, b, "b")
+        compare_logs(first_log, second_log, "b")
 
 
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
@@ -130,12 +130,12 @@ def test_unknown_differences_are_not_printed() -> None:
     If the second run is ahead of the first run, handctl prints "10.0 ms ahead", and not "-10 ms
     behind".
     """
-    unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
+    unknown_difference = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     early_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     simultaneous_difference = early_difference | {"delay_s": -1e-6}
     compared = {
-        "joint_deg": {"j1": unknown, "j2": early_difference},
-        "tendon_N": {"slack": unknown, "rope": simultaneous_difference},
+        "joint_deg": {"j1": unknown_difference, "j2": early_difference},
+        "tendon_N": {"slack": unknown_difference, "rope": simultaneous_difference},
     }
     assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",

@@ -43,10 +43,10 @@ class RunWithRepetition:
         return self.folder / f"again-{self.follows_tensions}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return times since the start of the recorded motion, and the true values of both runs at these times.
+        """Return times since the start of the motion [s], and the true values of both runs at these times.
 
-        The times [s] of the repetition count from the start of the repeated motion. The values of
-        each run have the shape (times, columns).
+        In each run, time 0 is the start of the motion in this run. The values of each run have the
+        shape (times, columns).
         """
         with (
             RunLog(self.folder / "first.mcap") as original_log,
@@ -70,7 +70,7 @@ class RunWithRepetition:
     def rest_interval(self) -> tuple[float, float]:
         """Return start and end of the interval in which the hand holds the object at rest [s].
 
-        Start and end count from the start of the recorded motion.
+        The start and the end of the interval are times since the start of the recorded motion.
         """
         with RunLog(self.folder / "first.mcap") as original_log:
             phase_starts_s = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
@@ -128,8 +128,8 @@ def test_the_repetition_gives_the_same_log(run_with_repetition: RunWithRepetitio
     Without a control loop for the angle, a tension error of half a newton turns a digit by six
     degrees against its springs.
 
-    At a digit's first contact, a tension error of one newton adds two degrees to the difference
-    between the joint angles that are estimated in the two runs.
+    Both runs estimate the joint angles. When a digit first touches the object, a tension error of
+    one newton increases the difference between the two estimates by two degrees.
     """
     comparison = run_with_repetition.compare_replay()
     worst = (

@@ -255,11 +255,11 @@ def test_other_gains_give_other_commands_and_a_figure(
 def test_the_observer_gets_every_tick(recorded_grasp_log: Path) -> None:
     ticks: list[tuple[int, bytes]] = []
 
-    def observer(entry: TickIn, out: TickOut) -> None:
-        ticks.append((entry.k, out.state_hash))
+    def record_state_hash(tick_input: TickIn, tick_output: TickOut) -> None:
+        ticks.append((tick_input.k, tick_output.state_hash))
 
     with RunLog(recorded_grasp_log) as log:
-        execute_log(log, observer=observer)
+        execute_log(log, observer=record_state_hash)
         assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 

@@ -94,9 +94,9 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
             record.field("motor_torque_goal")[:-1, 0],
             record.field("motor_torque")[1:, 0],
         )
-        has_large_goal = goal > 0.03
+        large_goal_mask = goal > 0.03
         np.testing.assert_allclose(
-            np.nanmedian(torque[has_large_goal] / goal[has_large_goal]), 1.25, rtol=0.03
+            np.nanmedian(torque[large_goal_mask] / goal[large_goal_mask]), 1.25, rtol=0.03
         )
         result = execute_log(record)
     assert (result.differing_ticks, result.first_difference) == (0, None)

@@ -38,14 +38,14 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(
         )
         raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
         first_tick_above_limit = int(log.k[raw > 20.0][0])
-        tick_count_after = int((log.k >= first_tick_above_limit).sum())
+        tick_count_after_stop = int((log.k >= first_tick_above_limit).sum())
     assert judgement.stopping_faults[0][:1] == (first_tick_above_limit,)
     assert {
         (stop.fault, stop.instance, stop.occurs_in_logged_run) for stop in judgement.stopping_faults
     } == {("T03", "thumb_tendon", False)}
     assert judgement.stopping_faults[0].value > 20.0
     assert (judgement.stopped_tick_count, judgement.ticks_stopped_by_old_limits) == (
-        tick_count_after,
+        tick_count_after_stop,
         0,
     ), "the stop is latched until the operator clears it"
 

@@ -40,9 +40,10 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return the way in which the present machine provides vcan: "native" or "uml".
+    """Return the way in which the present machine provides vcan, "native" or "uml", and an empty reason.
 
-    If the machine does not provide vcan, return an empty text and the reason.
+    If the machine does not provide vcan, the way is an empty text, and the reason explains why vcan
+    is missing.
     """
     if shutil.which("unshare") is not None:
         trial = subprocess.run(
@@ -88,17 +89,17 @@ def run_with_vcan(
     if not kind:
         print_line(f"no vcan: {reason}")
         return NO_VCAN_STATUS
-    job = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
+    job_folder = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
     try:
         environment = {**_environment(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
         if kind == "native":
-            (job / "run").write_text(_job_script(command, environment))
-            return _run_natively(job, timeout_s, print_line)
+            (job_folder / "run").write_text(_job_script(command, environment))
+            return _run_natively(job_folder, timeout_s, print_line)
         environment |= {"TMPDIR": "/dev/shm", "HANDCTL_RUN_DIR": "/dev/shm/handctl"}
-        (job / "run").write_text(_job_script(command, environment))
-        return _run_in_guest(job, timeout_s, print_line)
+        (job_folder / "run").write_text(_job_script(command, environment))
+        return _run_in_guest(job_folder, timeout_s, print_line)
     finally:
-        shutil.rmtree(job)
+        shutil.rmtree(job_folder)
 
 
 def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
@@ -129,8 +130,10 @@ def _modules_folder() -> Path:
     return KERNEL_MODULES / version.stdout.strip()
 
 
-def _run_natively(job: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
-    process = _start_process([*_namespace_command(), "bash", str(job / "run")], _environment())
+def _run_natively(job_folder: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
+    process = _start_process(
+        [*_namespace_command(), "bash", str(job_folder / "run")], _environment()
+    )
     try:
         for line in _read_lines(process, time.monotonic() + timeout_s):
             print_line(line)
@@ -143,23 +146,23 @@ def _run_natively(job: Path, timeout_s: float, print_line: Callable[[str], None]
         _kill_process_group(process)
 
 
-def _run_in_guest(job: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
+def _run_in_guest(job_folder: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
     with _pin_to_one_core():
         process = _start_process(
-            _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
+            _guest_command(job_folder), {**_environment(), "TMPDIR": _memory_folder()}
         )
     try:
-        other_lines = _print_command_output(
-            _read_lines(process, time.monotonic() + timeout_s), job, print_line
+        system_lines = _print_command_output(
+            _read_lines(process, time.monotonic() + timeout_s), job_folder, print_line
         )
     except TimeoutError:
         return TIMED_OUT_STATUS
     finally:
         _kill_process_group(process)
     try:
-        return int((job / "rc").read_text())
+        return int((job_folder / "rc").read_text())
     except FileNotFoundError:
-        for line in other_lines:
+        for line in system_lines:
             print_line(f"guest: {line}")
         return NO_EXIT_STATUS
 
@@ -181,10 +184,10 @@ def _pin_to_one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _guest_command(job: Path) -> list[str]:
+def _guest_command(job_folder: Path) -> list[str]:
     init_program = Path(__file__).with_name("init").resolve()
     return [
-        *_command_prefix_for_amx(job),
+        *_command_prefix_for_amx(job_folder),
         *(
             "linux.uml",
             f"mem={MEMORY_BYTES >> 20}M",
@@ -202,11 +205,11 @@ def _guest_command(job: Path) -> list[str]:
             "quiet",
             "loglevel=3",
         ),
-        *(f"uml_dir={job}/", f"job={job}", f"moddir={_modules_folder()}"),
+        *(f"uml_dir={job_folder}/", f"job={job_folder}", f"moddir={_modules_folder()}"),
     ]
 
 
-def _command_prefix_for_amx(job: Path) -> list[str]:
+def _command_prefix_for_amx(job_folder: Path) -> list[str]:
     """Return the command prefix that the guest system needs on a processor with AMX registers.
 
     User-mode Linux alone does not save the AMX registers of a processor. The command
@@ -217,7 +220,7 @@ def _command_prefix_for_amx(job: Path) -> list[str]:
         encoding="utf-8"
     ).split() or not shutil.which("gcc"):
         return []
-    library = job / "xstate.so"
+    library = job_folder / "xstate.so"
     source = Path(__file__).with_name("xstate.c").resolve()
     subprocess.run(["gcc", "-shared", "-fPIC", "-O2", "-o", str(library), str(source)], check=True)
     return ["env", f"LD_PRELOAD={library}"]
@@ -279,27 +282,27 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
 
 
 def _print_command_output(
-    lines: Iterator[str], job: Path, print_line: Callable[[str], None]
+    lines: Iterator[str], job_folder: Path, print_line: Callable[[str], None]
 ) -> list[str]:
     """Report the lines that the command in a guest system prints.
 
     Returns: The other lines of the guest's output, before and after the lines of the command. The
     other lines come from the Linux kernel and from init.
     """
-    other_lines: list[str] = []
+    system_lines: list[str] = []
     has_command_started = False
     for line in lines:
-        if line.endswith(f"end {job}"):
-            if unfinished := line.removesuffix(f"end {job}"):
+        if line.endswith(f"end {job_folder}"):
+            if unfinished := line.removesuffix(f"end {job_folder}"):
                 print_line(unfinished)
-            return other_lines
+            return system_lines
         if has_command_started:
             print_line(line)
-        elif line == f"begin {job}":
+        elif line == f"begin {job_folder}":
             has_command_started = True
         else:
-            other_lines.append(line)
-    return other_lines
+            system_lines.append(line)
+    return system_lines
 
 
 def main() -> int:

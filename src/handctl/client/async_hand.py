@@ -69,14 +69,14 @@ class AsyncHandClient:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         """Close the client.
 
         If the block ends with an exception or a cancellation, no second exception is raised for a
         fault of the run.
         """
-        await asyncio.shield(asyncio.to_thread(self.client.__exit__, error_type, error, trace))
+        await asyncio.shield(asyncio.to_thread(self.client.__exit__, error_type, error, traceback))
 
     async def close(self) -> None:
         """End the control of the hand, see ``HandClient.close``."""
@@ -203,7 +203,7 @@ class AsyncTargetStream:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         """Close the stream."""
         await asyncio.shield(self.close())

@@ -132,8 +132,8 @@ class Fingertips:
 class FingertipStream(TargetStream):
     """Stream of fingertip positions. The method ``HandClient.stream`` returns such a stream.
 
-    The client computes joint angles from the positions. The controller receives the joint angles,
-    and limits them as in every stream.
+    The client computes joint angles from the positions. The controller receives these joint angles,
+    and limits the angles as in every stream.
 
     Attributes:
         fingertips: inverse kinematics of the digits. Its attribute ``distances_m`` contains the
@@ -144,7 +144,7 @@ class FingertipStream(TargetStream):
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], fingertips: Fingertips,
         horizon_s: float, time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the client's end of the stream.
+        """Create a stream with which the client sends positions of fingertips.
 
         Args:
             hand: client of the hand.

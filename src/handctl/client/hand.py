@@ -249,8 +249,8 @@ class HandClient:
     def open(self) -> Self:
         """Wait until the hand accepts goals, as the start of a ``with`` block does.
 
-        Notebooks, which cannot use a `with` block over several cells, need this method. The errors
-        of this method are those of ``__enter__``. Call ``close`` at the end.
+        Notebooks, which cannot use a `with` block over several cells, need this method. This method
+        raises the same errors as ``__enter__``. Call ``close`` at the end.
         """
         with ExitStack() as exit_stack:
             exit_stack.callback(self._finish_command, False)
@@ -268,7 +268,7 @@ class HandClient:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         self._finish_command(raises_error=error_type is None)
 
@@ -420,8 +420,9 @@ class HandClient:
     ) -> Observation:
         """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
-        The method ``release`` ends the hold phase and continues the task. A method that sets a
-        goal, such as ``move``, ends both the hold phase and the task.
+        The method ``release`` ends the hold phase and continues the task. If the program sets a
+        goal during the hold phase, for example with ``move``, the task ends without its remaining
+        phases.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
@@ -527,8 +528,8 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that reads more than a second behind the controller misses ticks. If a program has
-        missed ticks, the tick number ``k`` increases by more than 1.
+        A program that reads more than a second behind the controller misses ticks. After missed
+        ticks, the tick number ``k`` of the next observation is larger by more than 1.
 
         Args:
             timeout_s: longest time to wait for the next tick [s].
@@ -547,7 +548,7 @@ class HandClient:
 
         The returned iterator never waits.
 
-        The argument and the errors are the same as in ``observations``.
+        This method has the same argument as ``observations``, and raises the same errors.
         """
         reader = self._open_reader()
         reader.last_read_number = reader.written_count
@@ -695,7 +696,7 @@ class HandClient:
     def stop(self) -> None:
         """Relax and disarm the hand, and end the run.
 
-        The run ends even if another process has started the controller.
+        The run also ends if another process than this program has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
@@ -743,7 +744,7 @@ class HandClient:
         return float(line["t_s"])
 
     def _start_heartbeat(self) -> None:
-        """Start the thread that renews the lease from now on."""
+        """Start the thread that renews the lease. If there is no lease, or if the thread already runs, do nothing."""
         with self._lock:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return

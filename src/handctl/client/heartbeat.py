@@ -20,9 +20,9 @@ The lease stays valid even if three successive signs of life are late or lost.
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    If there is a watchdog time, the thread sends signs of life only while the program calls the
-    client often enough. With a watchdog time, a program that hangs loses the lease, even if its
-    other threads continue.
+    If a watchdog time is given, the thread sends signs of life only while the program calls methods
+    of the client often enough. A program that hangs then loses the lease, even if its other threads
+    continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:

@@ -85,7 +85,7 @@ class TargetStream:
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
         time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the client's end of a stream.
+        """Create a stream with which the client sends targets to the controller.
 
         Programs call ``HandClient.stream`` instead of this constructor.
         """
@@ -112,7 +112,7 @@ class TargetStream:
         self,
         error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         """Close the stream."""
         self.close()
@@ -231,7 +231,8 @@ class TargetStream:
 def _number_array(values: object) -> NDArray[np.float64]:
     """Return a copy of the values that a program gives to the stream.
 
-    The copy is necessary because the program can change its own array later.
+    If the stream kept the array of the program, a later change of the array would change the stored
+    target.
 
     Raises:
         ConfigError: the values are not numbers.

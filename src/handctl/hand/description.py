@@ -419,7 +419,8 @@ class Hand(Section):
 
         Comments, the spelling of numbers, and the order of keys in the file have no effect on the
         hash. The hash leaves out the limits of streams, the meshes, and the keys of a drive's
-        position loop. No calibration and no gains depend on the keys that the hash leaves out.
+        position loop. Calibrations and gains do not depend on the keys that are missing in the
+        hash.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_table_without_keys(digit, MESH_KEYS) for digit in content["digit"]]

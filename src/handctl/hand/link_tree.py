@@ -28,16 +28,16 @@ class LinkTree:
             ``rigid_body``.
         parent: (J,) index of the joint before each joint, -1 for the palm.
         gravity: (3,) gravitational acceleration in the palm frame [m/s2].
-        stiffness: (J,) stiffness of the return spring of each joint [N m/rad].
-        preload: (J,) preload of the return spring of each joint [rad].
+        spring_stiffness: (J,) stiffness of the return spring of each joint [N m/rad].
+        spring_preload: (J,) preload of the return spring of each joint [rad].
     """
 
     digits: tuple[DigitModel, ...]
     table: Array
     parent: NDArray[np.int64]
     gravity: Array
-    stiffness: Array
-    preload: Array
+    spring_stiffness: Array
+    spring_preload: Array
 
     @staticmethod
     def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "LinkTree":
@@ -60,8 +60,8 @@ class LinkTree:
             table=np.concatenate([digit.table for digit in digits], axis=1),
             parent=np.concatenate(parents),
             gravity=np.array(hand.mount.gravity_m_s2),
-            stiffness=np.concatenate([digit.spring_stiffness for digit in digits]),
-            preload=np.concatenate([digit.spring_preload for digit in digits]),
+            spring_stiffness=np.concatenate([digit.spring_stiffness for digit in digits]),
+            spring_preload=np.concatenate([digit.spring_preload for digit in digits]),
         )
 
     def poses(self, q: JointValues) -> Array:
@@ -94,4 +94,4 @@ class LinkTree:
         """Return the joint torques (J,) [N m] that hold the hand at rest against weight and return springs."""
         angles = np.asarray(q, dtype=np.float64)
         gravity_torques = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
-        return np.asarray(gravity_torques + self.stiffness * (angles + self.preload))
+        return np.asarray(gravity_torques + self.spring_stiffness * (angles + self.spring_preload))

@@ -345,7 +345,7 @@ def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
     tree = LinkTree.from_hand(hand)
     open_angles = hand.joint_limits[0]
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
-    opening_torques = tree.stiffness * (open_angles + tree.preload)
+    opening_torques = tree.spring_stiffness * (open_angles + tree.spring_preload)
     # The static torque balances springs and weight. Without the springs, weight and floor remain.
     closing_torques = hand.moment_arms.T @ floor + opening_torques - tree.static_torque(open_angles)
     torques = zip(hand.joints, opening_torques.tolist(), closing_torques.tolist(), strict=True)

@@ -131,7 +131,7 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
     crossed joints up to joint i. While the spool winds the tendon up, friction reduces the tension
     towards the tip, and the ratios are below 1. While the spool unwinds the tendon, friction
     increases the tension towards the tip, and the ratios are above 1. If the tendon is at rest, the
-    ratios are 1. Source: capstan equation.
+    tension is the same at all pulleys, and the ratios are 1. Source: capstan equation.
 
     Args:
         digit: model of the digit.

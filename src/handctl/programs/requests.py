@@ -78,7 +78,8 @@ class CommandRequestBase(RequestBase):
 class KeepAliveRequest(RequestBase):
     """Report that a client is still alive.
 
-    The last command of the client contains a time `lease_s`. This request restarts the time.
+    The request starts the lease of the client again. The field `lease_s` of the client's last
+    command contains the time of the lease [s].
     """
 
     do: Literal["alive"]

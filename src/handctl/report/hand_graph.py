@@ -149,8 +149,8 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 def _tendon_label(tendon: Tendon) -> str:
     """Return the label of a tendon.
 
-    The label of a tendon in a spool pair is the name and the pretension. The label of any other
-    tendon is only the name.
+    For a tendon in a spool pair, the label contains the name and the pretension of the tendon. For
+    any other tendon, the label contains only the name.
     """
     if tendon.pretension_N is None:
         return tendon.name
@@ -253,12 +253,12 @@ def _draw_tendon(
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
     mean_moment_arms = hand.moment_arms[hand.tendon.index(tendon)]
-    arm_by_joint = {
+    moment_arm_by_joint = {
         joint: mean_moment_arms[hand.joints.index(joint)]
         for joint in tendon.arms
         if joint in column_x
     }
-    last_column = max(column_x[joint] for joint in arm_by_joint)
+    last_column = max(column_x[joint] for joint in moment_arm_by_joint)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot(
         [MOTOR_COLUMN_X, last_column + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1
@@ -287,7 +287,7 @@ def _draw_tendon(
         va="center",
         fontsize=6.5,
     )
-    for joint, arm in arm_by_joint.items():
+    for joint, arm in moment_arm_by_joint.items():
         # The moment arm of a flexor is written below the joint, and the moment arm of an extensor
         # above it.
         side = -1.0 if arm > 0.0 else 1.0

@@ -61,12 +61,12 @@ def judge_lift(
     positions = truth.interpolated_columns(
         ["object/x", "object/y", "object/z"], truth.t_ns[is_inside]
     )[table_depths > 0.0]
-    slip_distance = float("nan")
+    slip_distance_mm = float("nan")
     if len(positions):
-        slip_distance = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
+        slip_distance_mm = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
     return {
         "table_sunk_mm": float(table_depths[-1] * 1e3),
-        "object_slid_mm": slip_distance,
+        "object_slid_mm": slip_distance_mm,
         "digit_forces_N": _digit_forces(truth, is_inside),
     }
 

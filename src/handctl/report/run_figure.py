@@ -143,7 +143,8 @@ def _add_titles_and_phases(
 def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
     """Limit the value axis of a row of plots to the values that occur while the hand is active.
 
-    Values of an inactive hand are ignored, because joints without tendon tension can move far.
+    While the hand is inactive, joints without tendon tension can move far. Values from this time
+    have no effect on the value axis.
     """
     lines = [line.get_data() for axes in axes_row for line in axes.lines]
     visible_values = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
@@ -303,7 +304,7 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return, for each mark, the position of its name: the left end [s] and the height.
+    """Return where the name of each mark is written: the time [s] at the left end of the name, and the height.
 
     If there is no space for the name of a mark, the position is None.
 

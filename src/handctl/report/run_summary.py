@@ -97,8 +97,8 @@ def hold_phase_masks(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     A mask is True where the hold is settled.
 
     A hold is settled if a digit touches an object, and if the target tensions have been constant
-    for SETTLING_TIME_S. A tendon that holds an angle does not count, because its target tension
-    changes with the load.
+    for SETTLING_TIME_S. Target tensions of tendons that hold an angle are ignored, because these
+    target tensions change with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)

@@ -106,9 +106,8 @@ def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int 
     """Wait until a viewer shows its views and has loaded a recording up to ``until_ns``.
 
     A viewer gets a recording and the layout before it gets the first data. Before the first data
-    arrive, the viewer already reports that the loading has ended. Because the report of the viewer
-    is not sufficient, this function also checks that the timeline of the viewer reaches
-    ``until_ns``.
+    arrive, the viewer already reports that the loading has ended. For this reason, the function
+    also checks that the timeline of the viewer reaches ``until_ns``.
 
     Args:
         client: client of the viewer.

@@ -31,7 +31,7 @@ def browse_log(
     run: RunInfo,
     viewer_arguments: Sequence[str],
     environment: dict[str, str],
-    scan: RecordScan | None = None,
+    record_scan: RecordScan | None = None,
     further_runs: Sequence[tuple[Path, RunInfo]] = (),
 ) -> Iterator[Viewer]:
     """Open a viewer, and send whole logs to the viewer.
@@ -43,7 +43,7 @@ def browse_log(
         run: data about the run and the hand of the log.
         viewer_arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
-        scan: list of the log's records, if the records have been scanned already.
+        record_scan: list of the log's records, if the records have been scanned already.
         further_runs: paths of further logs, and data about their runs. The viewer lists each log as
             a recording.
 
@@ -62,7 +62,7 @@ def browse_log(
             chunks_of_run_by_part,
         )  # Rerun is imported while the viewer starts
 
-        chunk_lists = chunks_of_run_by_part(path, run, FIRST_SLICE_DURATION_NS, scan)
+        chunk_lists = chunks_of_run_by_part(path, run, FIRST_SLICE_DURATION_NS, record_scan)
         first_parts = list(islice(chunk_lists, 2))
         viewer_process = starting_viewer.wait_until_ready()
         _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, chunk_lists)))

@@ -32,7 +32,7 @@ NO_GROWTH_TIMEOUT_S = 15.0
 
 
 class LogFollower:
-    """Sender of a growing log to a viewer."""
+    """Follower of a growing log, which sends new chunks of the log to a viewer."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
         """Connect to a viewer, and send the static chunks of the run.

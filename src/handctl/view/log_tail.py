@@ -46,20 +46,20 @@ class LogTail:
         Raises:
             LogError: the log is damaged.
         """
-        scan = self._scan
-        if scan.is_complete:
+        record_scan = self._scan
+        if record_scan.is_complete:
             return None
         file = LogFile(self._path)
         try:
-            scan_records(file, scan)
+            scan_records(file, record_scan)
             # If the message indexes after a chunk are incomplete, Rerun loses messages of this
             # chunk. To avoid this loss, the reader passes on a chunk only when the record after the
             # message indexes exists.
             end_offsets = [
-                *(chunk.offset for chunk in scan.chunks[1:]),
-                *([scan.end] if scan.is_complete else []),
+                *(chunk.offset for chunk in record_scan.chunks[1:]),
+                *([record_scan.end] if record_scan.is_complete else []),
             ]
-            new_chunks = scan.chunks[self._sent_chunks : len(end_offsets)]
+            new_chunks = record_scan.chunks[self._sent_chunks : len(end_offsets)]
             if not new_chunks:
                 return None
             with path.open("wb") as output_file:

@@ -58,7 +58,7 @@ def chunks_of_run_by_part(
     path: Path,
     run: RunInfo,
     first_slice_duration_ns: int = SLICE_DURATION_NS,
-    scan: RecordScan | None = None,
+    record_scan: RecordScan | None = None,
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
@@ -70,7 +70,7 @@ def chunks_of_run_by_part(
         path: path of the log. An incomplete log is accepted.
         run: data about the run and the hand of the log.
         first_slice_duration_ns: duration of the first part of the run [ns].
-        scan: list of the log's records, if the records have been scanned already.
+        record_scan: list of the log's records, if the records have been scanned already.
 
     Raises:
         LogError: the log is damaged.
@@ -78,14 +78,18 @@ def chunks_of_run_by_part(
     yield [*style_chunks(run), *mesh_chunks(run), *object_and_table_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
-        complete_log, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
+        complete_log, record_scan = ensure_complete_log(
+            path, Path(folder), record_scan or scan_path(path)
+        )
         for partial_log, since_ns in time_slices(
-            complete_log, scan, Path(folder), first_slice_duration_ns
+            complete_log, record_scan, Path(folder), first_slice_duration_ns
         ):
             yield list(chunks_of_log(partial_log, converters, run.name, since_ns))
 
 
-def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
+def ensure_complete_log(
+    path: Path, folder: Path, record_scan: RecordScan
+) -> tuple[Path, RecordScan]:
     """Return the path and the list of records of a complete log.
 
     If the log ends early, the function repairs a copy of the log, and returns the path and the list
@@ -96,8 +100,8 @@ def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Pat
     Raises:
         LogError: the log has no complete chunk.
     """
-    if not scan.problem:
-        return path, scan
+    if not record_scan.problem:
+        return path, record_scan
     repaired_path = folder / path.name
     if recover_log(path, repaired_path).status == RecoveryStatus.NOTHING:
         raise LogError("no complete chunk in it", str(path), "a log with at least its header")

@@ -17,7 +17,7 @@ A part of this length has few chunks, which limits the use of memory.
 
 
 def time_slices(
-    path: Path, scan: RecordScan, folder: Path, first_slice_duration_ns: int
+    path: Path, record_scan: RecordScan, folder: Path, first_slice_duration_ns: int
 ) -> Iterator[tuple[Path, int]]:
     """Divide a complete log into parts, and yield the parts in the order of time.
 
@@ -26,7 +26,7 @@ def time_slices(
 
     Args:
         path: path of a complete log.
-        scan: list of the records of the log.
+        record_scan: list of the records of the log.
         folder: folder for the parts.
         first_slice_duration_ns: duration of the first part of the run [ns].
 
@@ -39,9 +39,9 @@ def time_slices(
     """
     log_file = LogFile(path)
     try:
-        first_chunk = scan.chunks[0]
-        remaining_chunks = scan.chunks[1:]
-        start_offsets = [chunk.offset for chunk in remaining_chunks] + [scan.end]
+        first_chunk = record_scan.chunks[0]
+        remaining_chunks = record_scan.chunks[1:]
+        start_offsets = [chunk.offset for chunk in remaining_chunks] + [record_scan.end]
         partial_log = folder / "part.mcap"
         for group in _group_chunks(
             first_chunk.first_ns, remaining_chunks, first_slice_duration_ns

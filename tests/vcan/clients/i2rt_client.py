@@ -92,13 +92,13 @@ def check_velocity_mode(checks: CheckList) -> None:
     """Let a motor chain in velocity mode turn all motors. The product Flow Base of i2rt uses velocity mode."""
     chain = open_motor_chain(ControlMode.VEL)
 
-    def speeds() -> list[float]:
+    def command_and_read_speeds() -> list[float]:
         states = chain.set_commands(np.zeros(MOTOR_COUNT), vel=np.full(MOTOR_COUNT, 3.0))
         return [state.vel for state in states]
 
     checks.check_eventually(
         "four motors turn at 3 rad/s in velocity mode",
-        speeds,
+        command_and_read_speeds,
         lambda measured_speeds: all(abs(speed - 3.0) < 0.1 for speed in measured_speeds),
     )
     chain.set_commands(np.zeros(MOTOR_COUNT))
@@ -114,12 +114,14 @@ def check_mit_mode(checks: CheckList) -> None:
     chain = open_motor_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
 
-    def travel() -> Any:
+    def command_torque_and_read_travel() -> Any:
         states = chain.set_commands(np.full(MOTOR_COUNT, TORQUE_N_M))
         return np.array([state.pos for state in states]) - start
 
     checks.check_eventually(
-        "four motors turn by a torque", travel, lambda travels: bool(np.all(travels > TRAVEL_RAD))
+        "four motors turn by a torque",
+        command_torque_and_read_travel,
+        lambda travels: bool(np.all(travels > TRAVEL_RAD)),
     )
     torques = [state.eff for state in chain.read_states()]
     checks.check(

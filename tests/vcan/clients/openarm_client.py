@@ -59,18 +59,18 @@ def check_registers(checks: CheckList) -> None:
     arm.init_arm_motors([openarm_can.MotorType.DM4310] * MOTOR_COUNT, SEND_IDS, REPLY_IDS)
     arm.set_callback_mode_all(openarm_can.CallbackMode.PARAM)
     limits = openarm_can.Motor.get_limit_param(openarm_can.MotorType.DM4310)
-    variable = openarm_can.MotorVariable
+    registers = openarm_can.MotorVariable
     expected = {
-        variable.PMAX: limits.pMax,
-        variable.VMAX: limits.vMax,
-        variable.TMAX: limits.tMax,
-        variable.Gr: 10.0,
+        registers.PMAX: limits.pMax,
+        registers.VMAX: limits.vMax,
+        registers.TMAX: limits.tMax,
+        registers.Gr: 10.0,
     }
-    for number, value in expected.items():
-        arm.query_param_all(number.value)
+    for register, value in expected.items():
+        arm.query_param_all(register.value)
         arm.recv_all(REPLY_TIMEOUT_US)
-        parameters = [motor.get_param(number.value) for motor in arm.get_arm().get_motors()]
-        checks.check(f"register {number.name}", parameters == [value] * MOTOR_COUNT, parameters)
+        parameters = [motor.get_param(register.value) for motor in arm.get_arm().get_motors()]
+        checks.check(f"register {register.name}", parameters == [value] * MOTOR_COUNT, parameters)
 
 
 def check_mit_mode(checks: CheckList) -> None:
@@ -119,14 +119,14 @@ def check_velocity_mode(checks: CheckList) -> None:
     """Command a velocity to the motors in velocity mode."""
     arm = connect_arm(openarm_can.ControlMode.VEL)
 
-    def speeds() -> list[float]:
+    def command_and_read_speeds() -> list[float]:
         arm.get_arm().vel_control_all([openarm_can.VelParam(2.0)] * MOTOR_COUNT)
         arm.recv_all(REPLY_TIMEOUT_US)
         return [motor.get_velocity() for motor in arm.get_arm().get_motors()]
 
     checks.check_eventually(
         "three motors turn at 2 rad/s",
-        speeds,
+        command_and_read_speeds,
         lambda measured_speeds: all(abs(speed - 2.0) < 0.1 for speed in measured_speeds),
     )
     disable_arm(arm, checks, "velocity")

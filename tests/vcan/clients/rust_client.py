@@ -58,18 +58,20 @@ def check_control_mode(
         robot.tick(REPLY_TIMEOUT_US)
         return getattr(arm, quantity)()
 
-    def states(enabled: bool) -> list[bool]:
+    def read_state_matches(is_enabled_expected: bool) -> list[bool]:
         robot.refresh()
         robot.tick(REPLY_TIMEOUT_US)
-        return [arm[name].is_enabled is enabled for name in MOTOR_NAMES]
+        return [arm[name].is_enabled is is_enabled_expected for name in MOTOR_NAMES]
 
     robot.set_mode(control_mode)
     robot.enable()
-    checks.check_eventually(f"three motors are enabled ({control_mode})", lambda: states(True), all)
+    checks.check_eventually(
+        f"three motors are enabled ({control_mode})", lambda: read_state_matches(True), all
+    )
     check_motion(checks, arm, read)
     robot.disable()
     checks.check_eventually(
-        f"three motors are disabled ({control_mode})", lambda: states(False), all
+        f"three motors are disabled ({control_mode})", lambda: read_state_matches(False), all
     )
 
 
@@ -94,25 +96,25 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
     )
     goals = np.array(arm.positions()) - TRAVEL_RAD
 
-    def errors() -> Any:
+    def command_and_read_errors() -> Any:
         arm.mit_control(command_rows(20.0, 1.0, goals, 0.0, 0.0))
         return read_feedback("positions") - goals
 
     checks.check_eventually(
         "they hold positions",
-        errors,
+        command_and_read_errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 
 
 def use_velocity_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
-    def speeds() -> Any:
+    def command_and_read_speeds() -> Any:
         arm.vel_control(np.full(MOTOR_COUNT, 2.0))
         return read_feedback("velocities")
 
     checks.check_eventually(
         "three motors turn at 2 rad/s",
-        speeds,
+        command_and_read_speeds,
         lambda measured_speeds: bool(np.all(np.abs(measured_speeds - 2.0) < 0.1)),
     )
 
@@ -120,13 +122,13 @@ def use_velocity_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
 def use_position_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
     goals = np.array(read_feedback("positions")) + TRAVEL_RAD
 
-    def errors() -> Any:
+    def command_and_read_errors() -> Any:
         arm.pos_vel_control(command_rows(goals, 4.0))
         return read_feedback("positions") - goals
 
     checks.check_eventually(
         "three motors reach positions",
-        errors,
+        command_and_read_errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 
@@ -134,13 +136,13 @@ def use_position_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
 def use_force_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
     goals = np.array(read_feedback("positions")) - TRAVEL_RAD
 
-    def errors() -> Any:
+    def command_and_read_errors() -> Any:
         arm.pos_force_control(command_rows(goals, 4.0, 0.05))
         return read_feedback("positions") - goals
 
     checks.check_eventually(
         "three motors reach positions with little torque",
-        errors,
+        command_and_read_errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 

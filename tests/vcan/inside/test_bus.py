@@ -55,9 +55,9 @@ def set_link_state(link_state: str) -> None:
 
 
 def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, other_bus: Bus) -> None:
-    classical = [Frame(n, bytes([n]) * (n % 9), 0, BUS_INDEX) for n in range(50)]
-    fd = [Frame(n | EXTENDED_FLAG, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
-    batch = [frame for pair in zip(classical, fd, strict=True) for frame in pair]
+    classical_frames = [Frame(n, bytes([n]) * (n % 9), 0, BUS_INDEX) for n in range(50)]
+    fd_frames = [Frame(n | EXTENDED_FLAG, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
+    batch = [frame for pair in zip(classical_frames, fd_frames, strict=True) for frame in pair]
     assert bus.send(batch) == len(batch)
     received_frames = drain_bus(other_bus, len(batch))
     assert frame_contents(received_frames) == frame_contents(batch)

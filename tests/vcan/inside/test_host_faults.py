@@ -98,7 +98,7 @@ class FaultObserver:
 def run_tendon_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon, relax the tendons, and disarm the hand.
 
-    While the hand pulls its tendons, ``observer`` causes faults.
+    While the hand pulls its tendons, ``observer`` injects its faults.
     """
     path = hand_file(work_folder, ["mit"])
     hand = load_hand(str(path))
@@ -120,8 +120,8 @@ def run_until_done(
     """Execute runs until one ends as expected, and return the outcome and the true values of this run.
 
     If a run ends because the only core of the guest system was busy, the test repeats the run. A
-    defect can end a run in the same way as a busy core. If none of five runs ends as expected, the
-    function assumes a defect, and the test fails.
+    defect of handctl can end a run with the same error as a busy core. If none of five runs ends as
+    expected, the function assumes a defect, and the test fails.
     """
     failure_text = ""
     for number in range(5):

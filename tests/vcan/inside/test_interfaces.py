@@ -26,10 +26,10 @@ def raw_socket(interface: str) -> socket.socket:
 
 @pytest.mark.parametrize("interface", ["vcan0", "vcan1"])
 def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
-    shown_links = subprocess.run(
+    ip_output = subprocess.run(
         ["ip", "-json", "link", "show", interface], capture_output=True, check=True
     ).stdout
-    (state,) = json.loads(shown_links)
+    (state,) = json.loads(ip_output)
     assert state["mtu"] == FD_FRAME_FORMAT.size
     assert "UP" in state["flags"]
 

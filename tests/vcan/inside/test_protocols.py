@@ -100,8 +100,8 @@ def simulated_hand_process(
 class HandDrives:
     """The drives of a hand on real CAN sockets, without a controller.
 
-    In each tick, an object of this class sends a SYNC frame and the commands of all drives. The
-    clock of the ticks can be slower than real time.
+    In each tick, an object of this class sends a SYNC frame and the commands of all drives. If
+    ``time_scale`` is less than 1, the ticks are slower than in real time.
     """
 
     def __init__(self, hand_path: Path, bus_texts: Sequence[str], time_scale: float) -> None:

@@ -2,9 +2,9 @@
 
 ``handctl run`` grasps a cylinder with a simulated hand in another process.
 
-In a nightly test run, the hand is commissioned before its run. Test runs that are not nightly do
-not commission the hand, which starts with known motor zeros and a new calibration. The test slows
-the clock of the run, so that a commissioning of 7 s takes 45 s in the guest system.
+In a nightly test run, the hand is commissioned before its run. In all other test runs, the hand is
+not commissioned, but starts with known motor zeros and a new calibration. The test slows the clock
+of the run, so that a commissioning of 7 s takes 45 s in the guest system.
 """
 
 import json
@@ -63,7 +63,11 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
 
 
 def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Repeat a run as long as the load of the machine stops the run. Return the successful run and its folder."""
+    """Repeat ``handctl run`` until a run is successful, and return the successful run and its folder.
+
+    If the load of the machine stops a run, the next attempt has a smaller time scale. If a run fails
+    for another reason, the test fails.
+    """
     for number, time_scale in enumerate(TIME_SCALE_BY_ATTEMPT):
         run_folder = work_folder / str(number)
         run_folder.mkdir()

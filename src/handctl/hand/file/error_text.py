@@ -252,8 +252,8 @@ def with_paths_in_hand_file(
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     """Join mistakes that differ only in the section name of their key path.
 
-    In the result, a joined mistake replaces the first of the mistakes that were joined. The key
-    path of a joined mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
+    In the returned list, a joined mistake has the place of the first of its original mistakes. The
+    key path of a joined mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:

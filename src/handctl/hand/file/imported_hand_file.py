@@ -633,7 +633,7 @@ def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
-    """Return the line for a key without a known value. The value in the line is ``"TODO"``."""
+    """Return the line for a key without a known value. In this line, the key has the value ``"TODO"``."""
     todo_verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,

@@ -272,7 +272,7 @@ def _list_schema(min_length: int, max_length: int, max_magnitude: float) -> dict
 
 
 def _table_schema(**list_schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a table that contains exactly the given lists."""
+    """Return the JSON Schema of a table of lists. The table must contain each of the given keys and no other key."""
     return {
         "type": "object",
         "properties": list_schemas,

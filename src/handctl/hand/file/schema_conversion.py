@@ -199,11 +199,11 @@ def _remove_shared_values(
 
     The entry contains the comments that the tables have about the value.
     """
-    first_values = section_tables[0].values()
+    values_of_first_section = section_tables[0].values()
     other_values = [block.values() for block in section_tables[1:]]
     keys = [
         key
-        for key, value in first_values.items()
+        for key, value in values_of_first_section.items()
         if may_be_shared(key, value)
         and all(
             key in other_block_values and _are_equal(other_block_values[key], value)
@@ -356,9 +356,9 @@ def _lines_of_section_kind(
     table_of_template: dict[str, TomlTable],
     section_tables: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the converted hand file for one kind of section.
+    """Return the lines of the converted hand file for all sections of one kind.
 
-    The lines for a section kind contain its default, its templates and its sections.
+    The lines contain the default of this kind, the templates of this kind, and the sections.
     """
     lines = ["", *(section_tables[0].comments_before if section_tables else [])]
     if default_entries:

@@ -65,7 +65,7 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Layer of values for a section. All values of a layer come from one table of the hand file.
+    """Values that one table of the hand file gives to a section. Several layers can give values to a section.
 
     Values of a later layer replace values of an earlier layer. ``path`` is the key path of the
     table.
@@ -446,7 +446,7 @@ def _copy_of_lists(value: Any) -> Any:
 def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
-    """Return the value layers of each tendon or motor in a digit, by the short name of the tendon or motor."""
+    """Return a list of ``ValueLayer`` for each tendon or motor in a digit, by the short name of the part."""
     layers_by_name: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
@@ -488,6 +488,6 @@ def _list_of_tables(value: Any) -> list[TableContent]:
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name by which key paths identify a section, or the position of a section without a name."""
+    """Return the text that identifies a section in key paths: its name, or the position of a section without a name."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

@@ -228,7 +228,7 @@ def _add_mesh(link_element: ET.Element, mesh: LinkMesh) -> None:
 def _add_link(
     robot_element: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None
 ) -> None:
-    """Add link i with its inertia.
+    """Add link i of a digit, with the inertia of the link, to the element of the robot.
 
     The simple shape of a link is a cylinder of the given length [m] with a ball at the far end.
     """

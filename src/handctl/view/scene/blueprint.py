@@ -39,14 +39,14 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
         is_live: True to show only the last seconds of the run. In the live view, the time axis
             moves with the run.
     """
-    window = [LIVE_TIME_RANGE] if is_live else None
+    time_ranges = [LIVE_TIME_RANGE] if is_live else None
     left_column = rrb.Vertical(
-        _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
+        _hand_view(run), _timing_plots(run, time_ranges), _log_view(), row_shares=[0.56, 0.18, 0.26]
     )
     right_column = rrb.Vertical(
-        _force_plots(window),
-        _angle_plots(run, window),
-        _state_timeline_view(window),
+        _force_plots(time_ranges),
+        _angle_plots(run, time_ranges),
+        _state_timeline_view(time_ranges),
         row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
@@ -89,20 +89,20 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     )
 
 
-def _force_plots(window: PlotTimeRange) -> rrb.Horizontal:
+def _force_plots(time_ranges: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of tendon tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
         axis_x=LINKED_TIME_AXIS,
-        time_ranges=window,
+        time_ranges=time_ranges,
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(
         name="Fingertip force [N]",
         contents="/controller/tip_force",
         axis_x=LINKED_TIME_AXIS,
-        time_ranges=window,
+        time_ranges=time_ranges,
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
@@ -114,14 +114,14 @@ def _angle_unit(digit: Digit) -> str:
     return f"{'angles' if units == ('deg',) else 'positions'} [{', '.join(units)}]"
 
 
-def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
+def _angle_plots(run: RunInfo, time_ranges: PlotTimeRange) -> rrb.Grid:
     """Return a plot of the joint angles of each digit."""
     plot_views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint {_angle_unit(digit)}, grey: command",
             contents=f"/angle/{digit.name}/**",
             axis_x=LINKED_TIME_AXIS,
-            time_ranges=window,
+            time_ranges=time_ranges,
             plot_legend=NO_LEGEND,
         )
         for digit in run.hand.digit
@@ -129,17 +129,17 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     return rrb.Grid(*plot_views, grid_columns=2)
 
 
-def _state_timeline_view(window: PlotTimeRange) -> rrb.StateTimelineView:
+def _state_timeline_view(time_ranges: PlotTimeRange) -> rrb.StateTimelineView:
     """Return the lanes that show the grasp phase, the mode of the hand and the reaction to faults over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",
         time_view=LINKED_TIME_AXIS,
-        time_ranges=window,
+        time_ranges=time_ranges,
     )
 
 
-def _timing_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
+def _timing_plots(run: RunInfo, time_ranges: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of the lateness of the ticks and of the bus loads."""
     lateness_title = (
         "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
@@ -149,14 +149,14 @@ def _timing_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
             name=lateness_title,
             contents="/loop/**",
             axis_x=LINKED_TIME_AXIS,
-            time_ranges=window,
+            time_ranges=time_ranges,
             plot_legend=NO_LEGEND,
         ),
         rrb.TimeSeriesView(
             name="Bus load, 0.1 s [%]",
             contents="/bus/**",
             axis_x=LINKED_TIME_AXIS,
-            time_ranges=window,
+            time_ranges=time_ranges,
             axis_y=rrb.ScalarAxis(range=(0.0, 105.0)),
         ),
     )

@@ -51,7 +51,7 @@ class TopicConverters:
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Choose the conversion of each topic.
+        """Choose the function that converts the chunks of each topic.
 
         Args:
             run: data about the run and the hand of the log.
@@ -157,14 +157,16 @@ class TopicConverters:
             )
 
 
-def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> FloatArray:
+def limits_near_tensions(tension_limits: list[float], tension: FloatArray) -> FloatArray:
     """Return the tension limits (n,) [N], with NaN in place of each limit far above all tensions.
 
     A plot chooses its range so that all its lines are visible. A line at a very high limit would
     leave little room for the lines of the tensions.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
-    return np.array([x if largest >= LIMIT_DISPLAY_FRACTION * x else np.nan for x in joint_limits])
+    return np.array(
+        [x if largest >= LIMIT_DISPLAY_FRACTION * x else np.nan for x in tension_limits]
+    )
 
 
 def lines_with_uncertainty_band(
