@@ -187,7 +187,8 @@ class WiredDrives:
     def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the array with a hand's constants, and the offsets of the constants in the array.
 
-        In the returned array, only the constants for load-cell frames have values.
+        The function sets only the constants for load-cell frames. All other constants in the
+        returned array keep their initial values.
         """
         axes = self.layout.axes
         used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}

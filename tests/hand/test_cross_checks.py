@@ -65,7 +65,7 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(
 def test_entries_that_are_refused_cause_no_further_message():
     """Reproduce a defect: two wrong values in a list caused three error messages.
 
-    The superfluous third message demanded a list with at least 1 value.
+    The third message, which demanded a list with at least 1 value, was superfluous.
     """
     content = copy.deepcopy(JAMIA_HAND_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]

@@ -85,7 +85,8 @@ def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one test case for each key of a hand file.
 
     The same key occurs in several hands and in several entries of a list. For each key, the
-    function returns the first case in ``cases``. In a nightly test run, return all test cases.
+    function returns only the first test case in ``cases``. In a nightly test run, the function
+    returns all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())

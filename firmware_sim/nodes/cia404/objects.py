@@ -122,7 +122,7 @@ class AmplifierObjects:
     def _add_object(
         self, key: ObjectKey, byte_count: int, value: int, is_fixed: bool = False
     ) -> None:
-        """Add an object to the dictionary. A fixed object is read-only for hosts."""
+        """Add an object to the object dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = byte_count
         self._values[key] = value
         if is_fixed:

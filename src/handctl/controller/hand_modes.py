@@ -1,9 +1,10 @@
 """State machine for the mode of a hand during a run.
 
 At the start of a run, the host is silent. At the end of a run, every drive has confirmed that it is
-disabled. SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every
-mode with torque, the hand can change to the mode CUT. For each mode, one function returns the next
-mode and, if the run has failed, the reason of the failure.
+disabled. A run passes through the modes SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX
+-> DISARM -> DONE. From every mode in which motors make torque, the hand can change directly to the
+mode CUT, which disables all drives at once. For each mode, one function returns the next mode and,
+if the run has failed, the reason of the failure.
 """
 
 import math

@@ -189,7 +189,7 @@ class LogFile:
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk.
 
-    The result has at most one byte more than the chunk declares.
+    The result is at most one byte longer than ``chunk.size``, the size that the chunk declares.
     """
     # One additional byte shows that a chunk is longer than it declares. The rest of a chunk that is
     # too long need not be decompressed.
