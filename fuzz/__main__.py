@@ -61,8 +61,9 @@ def fuzz_target(
 ) -> tuple[str, bool]:
     """Fuzz one fuzzing target in a separate process.
 
-    Return a line that describes the result. Also return True if the parser raised no undeclared
-    exception.
+    Return a line that describes the result, and True if the target passed. A target passes if its
+    parser raised only expected exceptions. In a run without coverage, the parser must also accept
+    at least one input.
     """
     corpus_folder = OUTPUT_FOLDER / "corpus" / target_name
     crash_folder = OUTPUT_FOLDER / "found" / target_name

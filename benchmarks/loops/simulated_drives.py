@@ -139,7 +139,7 @@ class CachedReplies:
         return replies
 
     def sensor_replies(self, sync_record: bytes) -> bytes:
-        """Return the replies of the sensor node to a SYNC frame. All of them are frame records."""
+        """Return the replies of the sensor node to a SYNC frame, as frame records."""
         self.sync_count += 1
         turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
         counter = sync_record[DATA_OFFSET] % SYNC_COUNTER_VALUES
@@ -178,9 +178,9 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        If the tendons were slack, the controller would turn the motors to take up the slack. These
-        simulated drives do not move, so the tensions would not rise, and the controller would report
-        a fault.
+        If the tendons were slack, the controller would turn the motors to take up the slack. The
+        simulated drives of this benchmark do not move. With slack tendons, the tensions would not
+        rise, and the controller would report a fault.
         """
         plant = self.rig.world.plant
         index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)

@@ -129,8 +129,8 @@ def table_index(bus: int, can_id: int) -> int:
 def _payload_as_integer(payload: Any) -> int:
     """Return eight bytes as an integer.
 
-    The first byte of the payload is the most significant byte. The sign of the integer has no
-    meaning.
+    The first byte of the payload is the most significant byte. The integer can be negative, but
+    only its 64 bits have a meaning.
     """
     word = 0
     for i in range(8):

@@ -41,8 +41,8 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    For each returned identifier of the drive or its host, the function also returns 29 changed
-    identifiers. Each changed identifier differs from the original identifier in one bit.
+    For each returned identifier of the drive or its host, the function also returns the 29
+    identifiers that differ from this identifier in one bit.
     """
     own_ids = sorted(
         identifier
@@ -74,7 +74,7 @@ def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive.
 
     The enabled state is the present state of the drive on the bench. The ready state differs from
-    it only in the drive phase.
+    the enabled state only in the drive phase.
     """
     ready_state = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial_state(), ready_state, bench.states[0]]

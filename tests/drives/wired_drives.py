@@ -152,7 +152,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of the drive ``drive_index``, with the values that the state block has for this drive."""
+        """Return the state of the drive ``drive_index``, updated with its values from the state block."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 

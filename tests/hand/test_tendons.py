@@ -178,8 +178,9 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
     """Check the tensions of a digit with one tendon per joint and the moment arm r at every joint.
 
-    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones.
-    Therefore a tension times r equals the torque of one joint minus the torque of the next joint.
+    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones. The
+    tension of a tendon times the moment arm r equals the torque of its joint minus the torque of
+    the next joint.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

@@ -130,8 +130,8 @@ def test_every_unit_of_the_digits_is_named(
     """Reproduce a defect: the axis for the joint angle of a finger had no label.
 
     In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had
-    a label. Because this label contained the unit mm, readers could think that the angle of the
-    finger was also in mm.
+    a label. The label for the jaw contained the unit mm, so readers could think that the angle of
+    the finger was also in mm.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})

@@ -1,7 +1,7 @@
 """The object dictionary of the simulated CiA 404 amplifier. Source: docs/facts/cia404.md.
 
-The list below gives the values of the objects in a delivered amplifier. In the list, c is the
-number of a channel, counted from 1.
+The list below gives the values of the objects in a delivered amplifier. In the list of objects, c
+is the number of a load-cell channel, counted from 1.
 
     1000:0  device type    0x00020194: analogue inputs, profile 404
     1005:0  SYNC           0x080

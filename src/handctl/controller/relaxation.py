@@ -8,7 +8,7 @@ tendon. No measurement can raise the envelope:
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
 Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
-pair, u is the absolute value of the force, and the force keeps its direction.
+pair, u is the absolute value of the motor force, and the sign of the motor force does not change.
 
 The envelope begins at the last motor command, but not above a limit. The limit is the present
 tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. Some tendons are controlled

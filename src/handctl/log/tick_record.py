@@ -171,8 +171,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _eventless_message_tail(phase: str) -> bytes:
     """Return the last bytes of a Tick message without events: the phase and three empty sequences.
 
-    If the last bytes begin at a multiple of four bytes in the message, they depend only on the
-    phase. Therefore the function can cache the last bytes for each phase.
+    The last bytes depend only on the phase if they begin at a multiple of four bytes in the
+    message. The cache of the function contains one result for each phase.
     """
     writer = CdrWriter()
     writer.put_string(phase)

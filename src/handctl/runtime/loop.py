@@ -5,10 +5,10 @@ of a tick, the loop reads requests and streamed targets, and sends commands. At 
 the loop concludes and records the tick. The same loop runs in real time and in lockstep.
 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
-numbers of the missed ticks. The next executed tick decides whether the gap in the tick numbers is a
-fault. Only this module of the project catches exceptions of every kind. After any error inside a
-tick, the loop disables the drives, and polls them until they report that they are disabled. After
-that, the loop raises the same error again.
+numbers of the missed ticks. In the next executed tick, the controller decides whether the missing
+tick numbers are a fault. Only this module of the project catches exceptions of every kind. After
+any error inside a tick, the loop disables the drives, and polls them until they report that they
+are disabled. After that, the loop raises the same error again.
 """
 
 import gc
