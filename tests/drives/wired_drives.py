@@ -40,12 +40,12 @@ class WiredDrives:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.tendon_frame_indices)
-        joints = 1 + max(
+        joint_count = 1 + max(
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
-        axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
+        axes = {"tendon": n, "joint": joint_count, "digit": 1, "coordinate": 1, "node": n + 1}
         self.layout = STATE_SCHEMA.layout(
-            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
+            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joint_count, "run": 1}
         )
         self.tables = WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
@@ -165,7 +165,7 @@ class WiredDrives:
         return {i: float(cells[i]) for i in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
-    def joints(self) -> dict[int, float]:
+    def joint_readings(self) -> dict[int, float]:
         """Return the joint-encoder readings that arrived in the present tick [rad], by joint."""
         fresh_field_values, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh_field_values).tolist()}

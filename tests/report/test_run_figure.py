@@ -143,7 +143,7 @@ def test_every_unit_of_the_digits_is_named(
 def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     """Reproduce a defect: the texts "release" and "open" overlapped, and the end of the axis cut off the text "end"."""
     limits = (0.4, 9.4)
-    width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
+    mark_width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
     times = [0.65, 1.0, 3.0, 8.0, 8.1, 9.35, 9.39, 12.0]
     times += np.random.default_rng(seed).uniform(*limits, size=8).tolist()
     positions = _mark_positions(times, limits)
@@ -152,6 +152,6 @@ def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     shown_positions = [position for position in positions if position]
     assert len(shown_positions) >= 7
     for i, (left_edge, height) in enumerate(shown_positions):
-        assert limits[0] <= left_edge <= limits[1] - width + 1e-9
+        assert limits[0] <= left_edge <= limits[1] - mark_width + 1e-9
         for other_left_edge, other_height in shown_positions[:i]:
-            assert height != other_height or abs(left_edge - other_left_edge) >= width
+            assert height != other_height or abs(left_edge - other_left_edge) >= mark_width

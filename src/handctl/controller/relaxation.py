@@ -83,17 +83,17 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     table[s.TENSION_SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force. The envelope starts from the commanded motor
     # force in the next tick.
-    explained_force = present_tensions
+    plausible_tension = present_tensions
     if any(
         FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
         for latched_fault in state.latched_faults
     ):
         # If the load cell could be wrong, the true tension can be as large as the tension setpoint.
         # A digit that follows a position goal has no tension setpoint.
-        explained_force = np.where(
+        plausible_tension = np.where(
             in_tension_loop, np.maximum(present_tensions, start), present_tensions
         )
-    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained_force)
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, plausible_tension)
     tendon_integers[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 
