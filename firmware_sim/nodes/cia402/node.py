@@ -318,7 +318,7 @@ class Cia402Node:
             raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         # If bit 0 of the specifier is set, bits 3..2 give the number of unused bytes. If bit 0 is
         # not set, the size of the object is used, because the request contains no size.
-        size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
+        size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.object_size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 

@@ -501,8 +501,8 @@ def _motors_possibly_with_torque(
 ) -> tuple[str, ...]:
     """Return the names of motors that possibly still make torque at the end of a run.
 
-    If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
-    can have tension although its motor makes no torque.
+    If the run ends before arming, the function ignores the tensions of the tendons. Before arming,
+    a tendon can have tension although its motor makes no torque.
     """
     pulling_motors = (
         () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)

@@ -1,4 +1,4 @@
-"""Conversion of batches of frames between records and ``struct canfd_frame``, by compiled loops.
+"""Compiled loops that convert batches of frames between records and ``struct canfd_frame``.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
