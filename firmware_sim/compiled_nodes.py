@@ -82,13 +82,13 @@ class CompiledNodes:
         """Delete the table of receivers, so that it is built again before the next frame."""
         self._table = None
 
-    def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
+    def answer(self, frames: Any, t_ns: int, max_delay_ns: int) -> tuple[Any, bool]:
         """Answer the frames that the host has sent in a tick.
 
         Args:
             frames: frames of the host, an array of ``FRAME_DTYPE``.
             t_ns: start of the tick [ns].
-            last_ns: largest time from the start of the tick to an answer [ns].
+            max_delay_ns: largest time from the start of the tick to an answer [ns].
 
         Returns:
             The answers, with times as if the answers were sent one after the other. The second
@@ -107,7 +107,7 @@ class CompiledNodes:
                     answer_frames = self._append_frames(answer_frames, world.receive(frame))
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
-            self._run_kernel(frames, answer_frames, t_ns, last_ns)
+            self._run_kernel(frames, answer_frames, t_ns, max_delay_ns)
             frame_index = int(progress[NEXT_FRAME])
             if frame_index == len(frames):
                 return answer_frames[: progress[ANSWERS]], bool(progress[IN_ORDER])
@@ -119,14 +119,14 @@ class CompiledNodes:
             progress[NEXT_FRAME] = frame_index + 1
             self._drop_stale_table()
 
-    def _run_kernel(self, frames: Any, answer_frames: Any, t_ns: int, last_ns: int) -> None:
+    def _run_kernel(self, frames: Any, answer_frames: Any, t_ns: int, max_delay_ns: int) -> None:
         """Run the compiled kernel until a frame comes that a node must answer in Python."""
         if self._table is None:
             self._build_table()
         if self._noise:
             self._noise.draw(self._draws)
         self._kernels.answer(
-            frames, answer_frames, self._addresses, t_ns, last_ns, self._max_answers
+            frames, answer_frames, self._addresses, t_ns, max_delay_ns, self._max_answers
         )
 
     def _enlarge_buffer(self, answer_frames: Any) -> Any:

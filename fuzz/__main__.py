@@ -61,8 +61,9 @@ def fuzz_target(
 ) -> tuple[str, bool]:
     """Fuzz one fuzzing target in a separate process.
 
-    Return a line that describes the result. Also return True if the parser raised no undeclared
-    exception.
+    Return a line that describes the result, and True if the target passed. A target passes if its
+    parser raised only expected exceptions. In a run without coverage, the parser must also accept
+    at least one input.
     """
     corpus_folder = OUTPUT_FOLDER / "corpus" / target_name
     crash_folder = OUTPUT_FOLDER / "found" / target_name
@@ -98,23 +99,23 @@ def fuzz_target(
         command, capture_output=True, text=True, errors="replace", check=False
     )
     (OUTPUT_FOLDER / f"{target_name}.txt").write_text(process_result.stdout + process_result.stderr)
-    run_match = RUN_COUNT_PATTERN.search(process_result.stderr)
+    run_count_match = RUN_COUNT_PATTERN.search(process_result.stderr)
     coverage_counts = COVERAGE_PATTERN.findall(process_result.stderr)
-    if process_result.returncode or not run_match:
+    if process_result.returncode or not run_count_match:
         return (
             f"{target_name:13} FAILED  see {OUTPUT_FOLDER / target_name}.txt and {crash_folder}/",
             False,
         )
-    number = int(run_match[1])
-    elapsed_s = max(1, int(run_match[2]))
-    if without_coverage and not int(run_match[3]):
+    number = int(run_count_match[1])
+    elapsed_s = max(1, int(run_count_match[2]))
+    if without_coverage and not int(run_count_match[3]):
         return (
             f"{target_name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
             False,
         )
     edge_count_text = f"edges {coverage_counts[-1][0]:>6}" if coverage_counts else "no edges"
     coverage_text = (
-        f"blind, {100 * int(run_match[3]) / number:.1f} % accepted"
+        f"blind, {100 * int(run_count_match[3]) / number:.1f} % accepted"
         if without_coverage
         else edge_count_text
     )

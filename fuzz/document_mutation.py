@@ -95,7 +95,7 @@ def mutated_content(
 
 
 def _copy_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
-    """Replace each node on a path of a document by a copy, and return the copy of the last node.
+    """Replace each node on a path of a document by a copy, and return the copy at the end of the path.
 
     An earlier mutation may have removed a node of the path from the document. If so, return None.
     """

@@ -146,8 +146,8 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 def _payload_header(payload: bytes) -> tuple[int, int]:
     """Return the shape byte and the control byte, which precede a payload in an input of the fuzzer.
 
-    If the shape byte is 1, the payload has 8 bytes. If the shape byte is 0, the payload has as many
-    bytes as the control byte says.
+    If the shape byte is 1, the payload has 8 bytes. If the shape byte is 0, the control byte
+    contains the number of payload bytes.
     """
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 

@@ -68,28 +68,28 @@ def feed_inputs(
         The number of inputs, and the number of inputs that the parser accepted.
     """
     start_s = reported_time_s = time.monotonic()
-    executed_count = 0
+    executed_input_count = 0
     accepted_count = 0
     data = b""
     try:
-        while run_count < 0 or executed_count < run_count:
+        while run_count < 0 or executed_input_count < run_count:
             for data, _ in zip(inputs, range(INPUTS_PER_CLOCK_READ), strict=False):
                 accepted_count += target(data)
-            executed_count += INPUTS_PER_CLOCK_READ
+            executed_input_count += INPUTS_PER_CLOCK_READ
             now_s = time.monotonic()
             if 0 < duration_s <= now_s - start_s:
                 break
             if now_s - reported_time_s > REPORT_PERIOD_S:
                 reported_time_s = now_s
                 print(
-                    f"{executed_count} runs, {executed_count / (now_s - start_s):.0f}/s",
+                    f"{executed_input_count} runs, {executed_input_count / (now_s - start_s):.0f}/s",
                     file=sys.stderr,
                     flush=True,
                 )
     except BaseException:
         (crash_folder / "blind").write_bytes(data)
         raise
-    return executed_count, accepted_count
+    return executed_input_count, accepted_count
 
 
 def main() -> None:
@@ -107,7 +107,7 @@ def main() -> None:
     ]
     start_s = time.monotonic()
     inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(max_input_bytes))
-    executed_count, accepted_count = feed_inputs(
+    executed_input_count, accepted_count = feed_inputs(
         TARGET_FACTORIES[name](folder),
         inputs,
         Path(crash_folder),
@@ -117,7 +117,7 @@ def main() -> None:
     run_time_s = round(time.monotonic() - start_s)
     count = len(corpus_inputs)
     print(
-        f"Done {executed_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, "
+        f"Done {executed_input_count} runs in {run_time_s} second(s), {accepted_count} inputs accepted, "
         f"corpus of {count} inputs",
         file=sys.stderr,
     )

@@ -77,7 +77,7 @@ def _is_readable(path: Path) -> bool:
 
 
 def log_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the fuzzing target for a log with changed records inside and outside of chunks.
+    """Return the fuzzing target that reads a log. The fuzzer changes records inside and outside of chunks.
 
     Most of the changed records have a valid length.
     """

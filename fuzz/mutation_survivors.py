@@ -26,7 +26,7 @@ def main() -> int:
     """
     reasons = EXPLANATIONS_FILE.read_text() if EXPLANATIONS_FILE.exists() else ""
     unexplained_mutants = list[str]()
-    executed_total = 0
+    executed_mutant_total = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
@@ -34,16 +34,16 @@ def main() -> int:
             sum(count[code] for code in kind)
             for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
         )
-        executed_count = len(codes) - not_run
-        if not executed_count:
+        executed_mutant_count = len(codes) - not_run
+        if not executed_mutant_count:
             continue
-        executed_total += executed_count
-        killed_count = executed_count - survived - untested
+        executed_mutant_total += executed_mutant_count
+        killed_count = executed_mutant_count - survived - untested
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
         counts = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(
-            f"{name:32} {killed_count:4} of {executed_count:4} killed "
-            f"{100 * killed_count / executed_count:5.1f} %  {counts}"
+            f"{name:32} {killed_count:4} of {executed_mutant_count:4} killed "
+            f"{100 * killed_count / executed_mutant_count:5.1f} %  {counts}"
         )
         unexplained_mutants += [
             key
@@ -52,9 +52,9 @@ def main() -> int:
         ]
     for key in unexplained_mutants:
         print(f"no reason: {key}   (mutmut show {key})")
-    if not executed_total:
+    if not executed_mutant_total:
         print("no mutant was judged")
-    return 1 if unexplained_mutants or not executed_total else 0
+    return 1 if unexplained_mutants or not executed_mutant_total else 0
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ PEAK_WINDOW_S = 300.0
 
 The growth of the memory is computed from the largest value in each time window.
 """
-MIN_SLOPE_TIME_S = 1800.0
+MIN_SLOPE_SAMPLING_S = 1800.0
 """Shortest duration of the samples [s] from which the growth of the memory per hour is computed."""
 ACCEPTED_EXIT_CODES = (0, 1, 71)
 """Accepted exit codes of controllers: 0 (done), 1 (ended by a fault), 71 (a drive did not confirm its stop)."""
@@ -84,7 +84,7 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
     mistaken for growth.
     """
     warm_samples = [sample for sample in samples if sample.time_s - samples[0].time_s >= warm_up_s]
-    if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_TIME_S:
+    if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_SAMPLING_S:
         return None
     window_count = (warm_samples[-1].time_s - warm_samples[0].time_s) // PEAK_WINDOW_S
     windows = groupby(
@@ -225,12 +225,12 @@ class SoakTest:
                 )
             ]
         )
-        instances = [
+        component_instances = [
             (component, name)
             for component in FAULT_KINDS[kind].components
             for name in instances_of_component(component, hand, kind)
         ]
-        component, name = self.random_source.choice(instances)
+        component, name = self.random_source.choice(component_instances)
         text = f"{kind} {component}={name} for={self.random_source.choice((1, 20, 200, 2000))}ms"
         if run_handctl("fault", "inject", text, "--bus", LOCAL_BUS).returncode:
             self.errors.append(f"refused: {text}")

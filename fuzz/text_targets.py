@@ -30,7 +30,7 @@ def request_fuzz_target(folder: Path) -> FuzzTarget:
     return target
 
 
-FAULT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed",
+FAULT_TEXT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed",
     "3", "main",
          "index_tendon", "thumb", "sensors", "3s", "20ms", "0x10", "nan", "1e400", "-1", "0.5", "1_0", "٣")  # fmt: skip
 
@@ -50,8 +50,8 @@ def fault_fuzz_target(folder: Path) -> FuzzTarget:
         else:
             text = list(FAULT_KINDS)[source.take_number(len(FAULT_KINDS))]
             while not source.is_empty:
-                key = FAULT_WORDS[source.take_number(len(FAULT_WORDS))]
-                text += f" {key}={FAULT_WORDS[source.take_number(len(FAULT_WORDS))]}"
+                key = FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]
+                text += f" {key}={FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]}"
         try:
             parse_fault(text, hand)
         except SimulatorError as error:

@@ -1,9 +1,9 @@
 """Detect stalls of the machine.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls during a
-test in real time, the controller must end its run, and the test fails. The failure then does not
-show a defect in the code. To detect stalls independently of the tested processes, one process on
-each core sleeps again and again, and measures how late it wakes up.
+test in real time, the controller must end its run, and the test fails. A test that fails because of
+a stall does not show a defect in the code. To detect stalls independently of the tested processes,
+one process on each core sleeps again and again, and measures how late it wakes up.
 """
 
 import contextlib

@@ -107,10 +107,10 @@ class RepeatAfterStallPlugin:
     The plugin repeats a test only if the machine stalled during the test. A test has at most three
     tries.
 
-    In some tests, simulated time runs slower than real time. In each repetition of such a test, the
-    fixture ``time_scale_of_attempt`` makes simulated time run still slower. The slower simulated
-    time runs, the less effect a stall of the machine has. A defect in the code has the same effect
-    at any speed of simulated time.
+    In some tests, simulated time runs slower than real time. In each repetition of a test with slow
+    simulated time, the fixture ``time_scale_of_attempt`` slows the simulated time down further. The
+    slower simulated time runs, the less effect a stall of the machine has. A defect in the code has
+    the same effect at any speed of simulated time.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test

@@ -149,7 +149,7 @@ def main(path: Path, keep_listed_tests: bool) -> None:
         *(f"{cost_by_slow_test[test]:.1f} {test}" for test in sorted(cost_by_slow_test)),
     ]
     SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    sample_cost_s = sum(
+    sample_processor_time_s = sum(
         processor_time_s
         for test, processor_time_s, _, is_real_clock in rows
         if test not in cost_by_slow_test and not is_real_clock
@@ -161,7 +161,7 @@ def main(path: Path, keep_listed_tests: bool) -> None:
     )
     print(f"{len(cost_by_slow_test)} of {len(rows)} tests are slow")
     print(
-        f"a sample takes {sample_cost_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock"
+        f"a sample takes {sample_processor_time_s:.0f} s of a core, and {real_clock_s:.0f} s on the real clock"
     )
 
 

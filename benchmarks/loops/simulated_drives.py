@@ -50,7 +50,7 @@ contains the other 8 bits.
 """
 HIGH_HALF = 0xF0
 LOW_HALF = 0x0F
-RECORD_SHORTS = RECORD_SIZE // 2
+INT16S_PER_RECORD = RECORD_SIZE // 2
 """Size of a frame record in numbers of 16 bits. The two torque bytes of a record are one such number."""
 TORQUE_BITS = np.uint16(LOW_HALF | 0xFF << 8)
 """Bits of the torque in the number that is made of the two torque bytes, the first byte lowest."""
@@ -62,7 +62,7 @@ class CommandBatch:
 
     Attributes:
         nodes: (drives,) node number of each drive, in the order of the commands.
-        replies: (drives, ``RECORD_SHORTS``) reply of each drive, as the 16-bit numbers of a frame record.
+        replies: (drives, ``INT16S_PER_RECORD``) reply of each drive, as the 16-bit numbers of a frame record.
     """
 
     nodes: NDArray[np.intp]
@@ -82,7 +82,7 @@ class CommandBatch:
         reply_torques &= ~TORQUE_BITS
         reply_torques |= last_torques[self.nodes] & TORQUE_BITS
         last_torques[self.nodes] = np.frombuffer(commands, np.uint16)[
-            COMMAND_TORQUE_OFFSET // 2 :: RECORD_SHORTS
+            COMMAND_TORQUE_OFFSET // 2 :: INT16S_PER_RECORD
         ]
         return self.replies.tobytes()
 
@@ -132,14 +132,14 @@ class CachedReplies:
         ]
         if len(command_frames) > 1 and {len(reply) for reply in cached_replies} == {RECORD_SIZE}:
             reply_rows = np.frombuffer(b"".join(cached_replies), np.uint16).reshape(
-                -1, RECORD_SHORTS
+                -1, INT16S_PER_RECORD
             )
             nodes = np.array([frame.can_id for frame in command_frames], np.intp)
             self.batches[identifiers] = CommandBatch(nodes, reply_rows.copy())
         return replies
 
     def sensor_replies(self, sync_record: bytes) -> bytes:
-        """Return the replies of the sensor node to a SYNC frame. All of them are frame records."""
+        """Return the replies of the sensor node to a SYNC frame, as frame records."""
         self.sync_count += 1
         turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
         counter = sync_record[DATA_OFFSET] % SYNC_COUNTER_VALUES
@@ -178,9 +178,9 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        If the tendons were slack, the controller would turn the motors to take up the slack. These
-        simulated drives do not move, so the tensions would not rise, and the controller would report
-        a fault.
+        If the tendons were slack, the controller would turn the motors to take up the slack. The
+        simulated drives of this benchmark do not move. With slack tendons, the tensions would not
+        rise, and the controller would report a fault.
         """
         plant = self.rig.world.plant
         index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)

@@ -75,7 +75,7 @@ _ZERO_COMMAND = 0xFE
 class FeedbackError(enum.IntEnum):
     """Error code in byte 7 of the feedback."""
 
-    NONE = 0
+    NO_ERROR = 0
     HOT = 1
     OVER_CURRENT = 2
     OVER_VOLTAGE = 3
@@ -111,7 +111,7 @@ class CubemarsNode:
         self.offset = offset
         self.thermal = DriveTemperatures(spec.torque_constant)
         self.enabled = False
-        self.error = FeedbackError.NONE
+        self.error = FeedbackError.NO_ERROR
         self.short = bool(spec.options.get("short", False))
         self.malformed_frame_count = 0
         self.wake_ns = 0
@@ -150,7 +150,7 @@ class CubemarsNode:
     def _process_special_command(self, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
         if command_code == _ENABLE_COMMAND:
-            self._enable_torque(is_enabled=self.error == FeedbackError.NONE)
+            self._enable_torque(is_enabled=self.error == FeedbackError.NO_ERROR)
         elif command_code == _DISABLE_COMMAND:
             self._enable_torque(is_enabled=False)
         elif command_code == _ZERO_COMMAND:
@@ -206,15 +206,15 @@ class CubemarsNode:
     def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque.
 
-        With the argument ``FeedbackError.NONE``, the error state ends.
+        With the argument ``FeedbackError.NO_ERROR``, the error state ends.
         """
         self.error = feedback_error
-        if feedback_error != FeedbackError.NONE:
+        if feedback_error != FeedbackError.NO_ERROR:
             self._enable_torque(is_enabled=False)
 
     def power_cycle(self) -> None:
         """Restart the motor. After the restart, the motor is disabled and has no error."""
-        self.error = FeedbackError.NONE
+        self.error = FeedbackError.NO_ERROR
         self._enable_torque(is_enabled=False)
 
     def wake(self, t_ns: int) -> None:
@@ -227,7 +227,7 @@ class CubemarsNode:
             if self.thermal.winding > OVERHEATING_C:
                 self.trip(FeedbackError.HOT)
             elif self.error == FeedbackError.HOT and self.thermal.winding < COOLED_DOWN_C:
-                self.trip(FeedbackError.NONE)
+                self.trip(FeedbackError.NO_ERROR)
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
 
 

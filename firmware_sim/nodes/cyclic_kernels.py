@@ -129,8 +129,8 @@ def table_index(bus: int, can_id: int) -> int:
 def _payload_as_integer(payload: Any) -> int:
     """Return eight bytes as an integer.
 
-    The first byte of the payload is the most significant byte. The sign of the integer has no
-    meaning.
+    The first byte of the payload is the most significant byte. The integer can be negative, but
+    only its 64 bits have a meaning.
     """
     word = 0
     for i in range(8):
@@ -379,7 +379,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 
 @kernel_helper
 def _assign_bus_times(
-    frames: Any, answer_frames: Any, count: int, t_ns: int, last_ns: int, buses: int
+    frames: Any, answer_frames: Any, count: int, t_ns: int, max_delay_ns: int, buses: int
 ) -> bool:
     """Set the times at which the answers end on their buses.
 
@@ -390,7 +390,7 @@ def _assign_bus_times(
         answer_frames: answers whose times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
-        last_ns: largest time from the start of the tick to an answer [ns].
+        max_delay_ns: largest time from the start of the tick to an answer [ns].
         buses: number of buses.
 
     Returns:
@@ -408,7 +408,7 @@ def _assign_bus_times(
         bus_busy_until_ns[answer.bus] += (
             FD_FRAME_DURATION_NS if answer.flags & FDF else FRAME_DURATION_NS
         )
-        send_time_ns = t_ns + min(bus_busy_until_ns[answer.bus], last_ns)
+        send_time_ns = t_ns + min(bus_busy_until_ns[answer.bus], max_delay_ns)
         is_in_order = is_in_order and send_time_ns >= previous_time_ns
         answer.t_ns = previous_time_ns = send_time_ns
     return is_in_order
@@ -503,7 +503,7 @@ def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
 
 @kernel_helper
 def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
-    frames: Any, answer_frames: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
+    frames: Any, answer_frames: Any, progress: Any, t_ns: int, max_delay_ns: int, table: Any, max_answers: int,
     receivers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
@@ -517,7 +517,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         answer_frames: array for the answers, filled by the kernel.
         progress: numbers that describe the progress, see ``NEXT_FRAME``.
         t_ns: present time [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
+        max_delay_ns: largest delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
         max_answers: largest possible number of answers to one frame.
         receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
@@ -594,7 +594,9 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         progress[NEXT_FRAME] = i + 1
     progress[ANSWERS] = count
     if progress[NEXT_FRAME] == len(frames):
-        progress[IN_ORDER] = _assign_bus_times(frames, answer_frames, count, t_ns, last_ns, buses)
+        progress[IN_ORDER] = _assign_bus_times(
+            frames, answer_frames, count, t_ns, max_delay_ns, buses
+        )
         progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
 
 
@@ -611,7 +613,7 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
 def answer(
-    frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
+    frames: Any, answer_frames: Any, at: Any, t_ns: int, max_delay_ns: int, max_answers: int
 ) -> None:
     """Answer the frames of the host. The caller gives most of the arrays by their memory addresses.
 
@@ -623,12 +625,12 @@ def answer(
         at: address and length of each remaining array argument of ``_answer``, in the order of
             ``compiled_nodes.CompiledNodes``.
         t_ns: present time [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
+        max_delay_ns: largest delay of an answer after the start of the tick [ns].
         max_answers: largest possible number of answers to one frame.
     """
     _answer(
-        frames, answer_frames, array_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, array_at(at[2], at[3], COUNT_DTYPE),
-        max_answers,
+        frames, answer_frames, array_at(at[0], at[1], COUNT_DTYPE), t_ns, max_delay_ns,
+        array_at(at[2], at[3], COUNT_DTYPE), max_answers,
         array_at(at[4], at[5], RECEIVER_DTYPE), array_at(at[6], at[7], MIT_DTYPE), array_at(at[8], at[9], ODRIVE_DTYPE),
         array_at(at[10], at[11], CIA402_DTYPE), array_at(at[12], at[13], RECEIVER_DTYPE),
         array_at(at[14], at[15], SENSOR_DTYPE),

@@ -35,7 +35,7 @@ loops per millisecond.
 
 
 class LoopGains(NamedTuple):
-    """Gains of cascaded controllers, converted to the spool.
+    """Gains of a position loop around a velocity loop, converted to the spool.
 
     Attributes:
         position: gain of the position loop [1/s], or 0 in velocity mode.
@@ -103,7 +103,8 @@ class MotionSetpoint:
     ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
-        Each step plans the remaining motion again.
+        Each step plans the remaining motion again, from the present position and velocity of the
+        setpoint.
 
         Args:
             target: target position [rad].

@@ -56,7 +56,7 @@ class NormalNoise:
         self.bounds: Any = np.zeros(2, np.int64)
 
     def draw(self, count: int) -> None:
-        """Draw numbers until at least ``count`` unused numbers are available.
+        """Draw random numbers until at least ``count`` unused numbers are available.
 
         The argument ``count`` must be at most ``NOISE_BLOCK_SIZE``.
         """

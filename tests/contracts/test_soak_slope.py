@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import soak
-from fuzz.soak import MIN_SLOPE_TIME_S, WARM_UP_S, MemorySample, memory_slope
+from fuzz.soak import MIN_SLOPE_SAMPLING_S, WARM_UP_S, MemorySample, memory_slope
 from handctl.hand.hand_loading import load_hand
 from handctl.session.calibration import load_calibration
 
@@ -80,5 +80,5 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
 
 
 def test_too_short_a_time_has_no_slope() -> None:
-    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_TIME_S - 60.0)) is None
-    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_TIME_S + 60.0)) is not None
+    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_SAMPLING_S - 60.0)) is None
+    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_SAMPLING_S + 60.0)) is not None

@@ -129,7 +129,7 @@ class ProtocolBench:
             f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}"
         )
 
-    def clear(self) -> None:
+    def clear_errors(self) -> None:
         """Clear the errors of all drives, as the controller does when the operator requests a clear."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):

@@ -346,8 +346,8 @@ def observed_faults(
 ) -> tuple[set[str], int]:
     """Disturb the amplifiers of a hand during a grasp.
 
-    Return the faults that occur, and the number of ticks until the controller reacts to the
-    disturbance. If the controller does not react, the number of ticks is -1.
+    Return the reported faults, and the number of ticks from the disturbance to the reaction of the
+    controller. If the controller does not react, the number of ticks is -1.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)

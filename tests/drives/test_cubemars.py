@@ -99,15 +99,15 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
         error_text,
         fault_cause,
     )
-    bench.clear()
+    bench.clear_errors()
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     assert bench.states[0].phase == DrivePhase.FAULT, "it still has it"
-    first_cubemars_node(bench).trip(FeedbackError.NONE)
+    first_cubemars_node(bench).trip(FeedbackError.NO_ERROR)
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
-    bench.clear()
+    bench.clear_errors()
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 

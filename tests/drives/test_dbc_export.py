@@ -105,7 +105,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 decoded_signals.pop("counter")
                 names = {hand.tendon_names[n]: value for n, value in wired_drives.tensions.items()}
-                names |= {hand.joints[j]: value for j, value in wired_drives.joints.items()}
+                names |= {hand.joints[j]: value for j, value in wired_drives.joint_readings.items()}
                 assert decoded_signals == pytest.approx(
                     {name: names[name] for name in decoded_signals}, abs=1e-9
                 )

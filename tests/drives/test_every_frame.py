@@ -41,15 +41,15 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    For each returned identifier of the drive or its host, the function also returns 29 changed
-    identifiers. Each changed identifier differs from the original identifier in one bit.
+    For each returned identifier of the drive or its host, the function also returns the 29
+    identifiers that differ from this identifier in one bit.
     """
-    own_ids = sorted(
+    drive_and_host_ids = sorted(
         identifier
         for identifier in bench.drives[0].node_ids | bench.drives[0].host_ids
         if identifier & EXTENDED_FLAG
     )
-    sampled_ids = random_source.sample(own_ids, min(len(own_ids), 4))
+    sampled_ids = random_source.sample(drive_and_host_ids, min(len(drive_and_host_ids), 4))
     changed_ids = {identifier ^ 1 << bit for identifier in sampled_ids for bit in range(29)}
     return {
         *sampled_ids,
@@ -74,7 +74,7 @@ def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive.
 
     The enabled state is the present state of the drive on the bench. The ready state differs from
-    it only in the drive phase.
+    the enabled state only in the drive phase.
     """
     ready_state = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial_state(), ready_state, bench.states[0]]
@@ -96,14 +96,14 @@ def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBench) -> None:
-    wired_drives, own_ids = (
+    wired_drives, sensor_node_ids = (
         WiredDrives((), bench.sensor_node),
         bench.sensor_node.node_ids | bench.sensor_node.host_ids,
     )
     wired_drives.begin_tick_with_sync(0)
     frames = list(frames_of_all_kinds(bench, 9, bench.k * 2_000_000))
     other_frames, block_before = (
-        [frame for frame in frames if frame.can_id not in own_ids],
+        [frame for frame in frames if frame.can_id not in sensor_node_ids],
         wired_drives.block.copy(),
     )
     assert wired_drives.receive(other_frames).field_number("strange") == len(other_frames)

@@ -150,7 +150,9 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
             else entry[step.sub_index]
         )
         assert (
-            len(variable) == 8 * step.size == 8 * own_dictionary.size((step.number, step.sub_index))
+            len(variable)
+            == 8 * step.size
+            == 8 * own_dictionary.object_size((step.number, step.sub_index))
         )
         assert (
             variable.default == own_dictionary[step.number, step.sub_index] or step.number == 0x6076

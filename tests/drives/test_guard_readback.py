@@ -132,8 +132,8 @@ def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp
     """Reproduce a defect.
 
     For four CubeMars drives, handctl printed 20 lines: five cautions for each drive. The expected
-    output has one line for all drives with the same caution. One of the five cautions was only a
-    hint about the temperature.
+    output has one line for all drives with the same caution. The expected output omits the hint
+    about the temperature offset, which was one of the five cautions.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

@@ -35,10 +35,10 @@ def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.is_silent = True
     rig.tick(DriveTarget.DISABLE)
-    old_frame = Frame(
+    frame_before_command = Frame(
         0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1
     )
-    rig.state = rig.drive.receive(rig.state, old_frame)
+    rig.state = rig.drive.receive(rig.state, frame_before_command)
     assert rig.state.phase == DrivePhase.ENABLED
 
 

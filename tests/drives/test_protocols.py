@@ -73,7 +73,7 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: ProtocolBench) -
     for state in bench.states:
         assert "watchdog" in state.error_text
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, max_ticks=100)
-    bench.clear()
+    bench.clear_errors()
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)

@@ -84,7 +84,7 @@ def test_faults_are_read_before_torque_and_await_a_clear(
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
-    bench.clear()
+    bench.clear_errors()
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
 
 

@@ -155,7 +155,7 @@ def test_every_value_reads_as_the_dbc_says(
     assert wired_drives.tensions == {
         i: decoded_signals[f"tension_{i}"] for i in range(len(tension_codes))
     }
-    assert wired_drives.joints == pytest.approx(
+    assert wired_drives.joint_readings == pytest.approx(
         {i: decoded_signals[f"joint_{i}"] for i in range(len(joint_codes))}, abs=1e-12
     )
     assert (wired_drives.field_number("stale"), wired_drives.has_malformed_frame) == (0, False)
@@ -180,7 +180,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
         [Frame(0x1B0, bytes.fromhex("0780"))]
     )
-    assert wired_drives.joints == {4: 0.0}
+    assert wired_drives.joint_readings == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
@@ -218,7 +218,7 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
             stale_now,
             frames.count(stale_frame),
         )
-        assert len(wired_drives.tensions or wired_drives.joints) == (
+        assert len(wired_drives.tensions or wired_drives.joint_readings) == (
             5 if fresh_frame in frames else 0
         )
     wired_drives.begin_tick_with_sync(tick_with_counter_nibble(node, 4))
@@ -345,7 +345,7 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
     ]
     wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
     assert list(wired_drives.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
-    assert list(wired_drives.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
+    assert list(wired_drives.joint_readings.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
 
 def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:

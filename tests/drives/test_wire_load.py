@@ -15,7 +15,7 @@ from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
 
-MEASURED_TICKS = 400
+MEASURED_TICK_COUNT = 400
 PERIOD_NS = 4_000_000
 
 
@@ -41,12 +41,12 @@ def measured_tick_s(
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE, 0.05)
     busy_ns_before = [wire.busy_ns for wire in simulated_wires]
-    for _ in range(MEASURED_TICKS):
+    for _ in range(MEASURED_TICK_COUNT):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * len(bench.states)
     bench.simulated_hand.close()
     return [
-        (wire.busy_ns - start) * 1e-9 / MEASURED_TICKS
+        (wire.busy_ns - start) * 1e-9 / MEASURED_TICK_COUNT
         for wire, start in zip(simulated_wires, busy_ns_before, strict=True)
     ]
 

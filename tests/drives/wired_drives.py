@@ -40,12 +40,12 @@ class WiredDrives:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.tendon_frame_indices)
-        joints = 1 + max(
+        joint_count = 1 + max(
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
-        axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
+        axes = {"tendon": n, "joint": joint_count, "digit": 1, "coordinate": 1, "node": n + 1}
         self.layout = STATE_SCHEMA.layout(
-            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
+            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joint_count, "run": 1}
         )
         self.tables = WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
@@ -152,7 +152,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of the drive ``drive_index``, with the values that the state block has for this drive."""
+        """Return the state of the drive ``drive_index``, updated with its values from the state block."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 
@@ -165,7 +165,7 @@ class WiredDrives:
         return {i: float(cells[i]) for i in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
-    def joints(self) -> dict[int, float]:
+    def joint_readings(self) -> dict[int, float]:
         """Return the joint-encoder readings that arrived in the present tick [rad], by joint."""
         fresh_field_values, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh_field_values).tolist()}
@@ -187,7 +187,8 @@ class WiredDrives:
     def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the array with a hand's constants, and the offsets of the constants in the array.
 
-        In the returned array, only the constants for load-cell frames have values.
+        The function sets only the constants for load-cell frames. All other constants in the
+        returned array keep their initial values.
         """
         axes = self.layout.axes
         used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}

@@ -40,7 +40,7 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
-def refusal() -> Callable[[Mapping[str, Any]], str]:
+def refusal_of_content() -> Callable[[Mapping[str, Any]], str]:
     """Return a function that builds a hand from wrong content, expects a ConfigError, and returns its error line.
 
     The error line contains the file name, the key path, the wrong value and the expected value.

@@ -11,8 +11,8 @@ from handctl.hand.formats.mjcf import mjcf_text
 class LinkContacts:
     """MuJoCo's model of a hand, which finds contacts between links.
 
-    Some neighbouring links of a packaged hand overlap in every posture. For this reason, contacts
-    that also exist in the open hand are not reported.
+    Some neighbouring links of a packaged hand overlap in every posture. For this reason, the class
+    does not report a contact that also exists in the open hand.
 
     Attributes:
         open_angles: (J,) joint angles of the open hand [rad].

@@ -109,8 +109,8 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
         first_vertex, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         corners = model.mesh_vert[first_vertex : first_vertex + count]
         body = model.body(model.geom_bodyid[geom]).name
-        placed_corners = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        corners_of_link[PALM_LINK if body == "world" else body] = placed_corners
+        corners_in_world = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        corners_of_link[PALM_LINK if body == "world" else body] = corners_in_world
     return corners_of_link
 
 

@@ -57,7 +57,7 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
 
     The search of scipy starts in the middle of the joint ranges.
     """
-    worse_count = 0
+    worse_solution_count = 0
     for digit in palm_digits(hand):
         low, high = digit.coordinate_limits
         for seed in range(SEED_COUNT):
@@ -77,8 +77,8 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             )
             assert (solution.coordinates >= low).all()
             assert (solution.coordinates <= high).all()
-            worse_count += solution.distance > np.linalg.norm(scipy_result.fun) + 1e-5
-    assert worse_count <= 1, "another local minimum in at most one case"
+            worse_solution_count += solution.distance > np.linalg.norm(scipy_result.fun) + 1e-5
+    assert worse_solution_count <= 1, "another local minimum in at most one case"
 
 
 def test_a_coupled_digit_meets_the_global_minimum() -> None:

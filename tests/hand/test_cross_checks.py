@@ -15,13 +15,13 @@ JAMIA_HAND_CONTENT = hand_content("jamia")
 
 
 @pytest.fixture
-def refusal_of_edit(refusal):
+def refusal_of_edit(refusal_of_content):
     """Return a function that makes a wrong change in the hand file of jamia, and returns the error message."""
 
     def refusal_line(content_edit):
         content = copy.deepcopy(JAMIA_HAND_CONTENT)
         content_edit(content)
-        return refusal(content).removeprefix("my/hand.toml: ")
+        return refusal_of_content(content).removeprefix("my/hand.toml: ")
 
     return refusal_line
 
@@ -65,7 +65,7 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(
 def test_entries_that_are_refused_cause_no_further_message():
     """Reproduce a defect: two wrong values in a list caused three error messages.
 
-    The superfluous third message demanded a list with at least 1 value.
+    The third message, which demanded a list with at least 1 value, was superfluous.
     """
     content = copy.deepcopy(JAMIA_HAND_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]
@@ -413,7 +413,7 @@ def test_value_at_its_limit_is_accepted():
         hand_from_content(content, "own.toml")
 
 
-def edit_on_a_wrist(content_edit):
+def edit_of_hand_on_wrist(content_edit):
     """Return an edit function that puts the hand jamia on a wrist, and after that applies ``content_edit``."""
 
     def change(content):
@@ -440,5 +440,7 @@ def edit_on_a_wrist(content_edit):
 )
 def test_a_tendon_passes_only_carriers_of_its_digit(refusal_of_edit, moment_arms, expected_message):
     index = {"moment_arm_m": moment_arms}
-    refusal = refusal_of_edit(edit_on_a_wrist(lambda content: content["tendon"][1].update(index)))
+    refusal = refusal_of_edit(
+        edit_of_hand_on_wrist(lambda content: content["tendon"][1].update(index))
+    )
     assert expected_message in refusal

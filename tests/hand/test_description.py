@@ -208,8 +208,8 @@ def test_invalid_hand_file_is_refused(tmp_path, file_bytes, expected_message):
 def test_a_file_cut_short_anywhere_is_refused(tmp_path):
     text = (PACKAGED_HANDS_FOLDER / "jamia.toml").read_bytes()
     path = tmp_path / "hand.toml"
-    end_of_content = text.rindex(b"watchdog_ms")
-    for end in range(0, end_of_content, 97):
+    last_key_offset = text.rindex(b"watchdog_ms")
+    for end in range(0, last_key_offset, 97):
         path.write_bytes(text[:end])
         with pytest.raises(ConfigError) as caught:
             load_hand(path)

@@ -21,7 +21,7 @@ class ExampleMoveStep(Document):
 
 
 class ExampleHoldStep(Document):
-    """Step of an example plan: hold with a tension. The step can contain a spare step of the kind *move*."""
+    """Step of an example plan, with a tension to hold. The step can contain a spare step of the kind *move*."""
 
     kind: Literal["hold"]
     tension_N: float

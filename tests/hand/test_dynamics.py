@@ -213,7 +213,7 @@ def test_energy_is_conserved(digits):
         digit = digit.with_gravity((4.0, -8.0, 3.0))
         n, dt = digit.joint_count, 2e-5
 
-        def rate(state, digit=digit, n=n):
+        def state_derivative(state, digit=digit, n=n):
             torque = -np.array(dynamics.spring_torque(digit, state[:n]))
             return np.concatenate(
                 (state[n:], dynamics.forward_dynamics(digit, state[:n], state[n:], torque))
@@ -227,10 +227,10 @@ def test_energy_is_conserved(digits):
         state = np.concatenate((np.linspace(0.3, 0.9, n), np.linspace(25.0, -20.0, n)))
         start, kinetic_energies = energy(state), []
         for _ in range(2500):
-            k1 = rate(state)
-            k2 = rate(state + dt / 2 * k1)
-            k3 = rate(state + dt / 2 * k2)
-            k4 = rate(state + dt * k3)
+            k1 = state_derivative(state)
+            k2 = state_derivative(state + dt / 2 * k1)
+            k3 = state_derivative(state + dt / 2 * k2)
+            k4 = state_derivative(state + dt * k3)
             state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             kinetic_energies.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
         # A digit without springs exchanges kinetic energy only with its potential energy in

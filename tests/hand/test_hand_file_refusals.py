@@ -85,7 +85,8 @@ def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one test case for each key of a hand file.
 
     The same key occurs in several hands and in several entries of a list. For each key, the
-    function returns the first case in ``cases``. In a nightly test run, return all test cases.
+    function returns only the first test case in ``cases``. In a nightly test run, the function
+    returns all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -113,7 +114,9 @@ SAMPLED_NUMBER_CASES = first_case_per_key(NUMBER_CASES)
 
 
 @pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
-def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wrong_number):
+def test_invalid_number_in_a_hand_file_is_refused(
+    refusal_of_content, content, key_path, wrong_number
+):
     wrong_values = [
         (math.nan, "nan"),
         (math.inf, "inf"),
@@ -125,20 +128,20 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wr
     if wrong_number != 0 and not SIGNED_KEY_PATTERN.search(str(key_path)):
         wrong_values.append((-wrong_number, str(-wrong_number)))
     for wrong_value, shown_text in wrong_values:
-        line = refusal(content_with_value(content, key_path, wrong_value))
+        line = refusal_of_content(content_with_value(content, key_path, wrong_value))
         assert line.startswith(f"my/hand.toml: {key_path_text(content, key_path)}: {shown_text};")
 
 
 @pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
-def test_no_number_may_be_absurdly_large(refusal, content, key_path, wrong_number):
+def test_no_number_may_be_absurdly_large(refusal_of_content, content, key_path, wrong_number):
     for absurd in (1e9, 10**400):
-        assert f"my/hand.toml: {key_path_text(content, key_path)}: " in refusal(
+        assert f"my/hand.toml: {key_path_text(content, key_path)}: " in refusal_of_content(
             content_with_value(content, key_path, absurd)
         )
 
 
 @pytest.mark.parametrize("hand_name", HANDS_WITH_PLANAR_DIGITS)
-def test_a_missing_key_is_refused(refusal, hand_name):
+def test_a_missing_key_is_refused(refusal_of_content, hand_name):
     for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
             if (
@@ -153,7 +156,7 @@ def test_a_missing_key_is_refused(refusal, hand_name):
             for key_or_index in path:
                 node = node[key_or_index]
             del node[key]
-            line = refusal(content)
+            line = refusal_of_content(content)
             key_text = key_path_text(content, path)
             if key in OPTIONAL_KEYS:
                 assert "index_tendon" in line or f"{key_text}.{key}: its tendons" in line
@@ -164,9 +167,11 @@ def test_a_missing_key_is_refused(refusal, hand_name):
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
-def test_an_unknown_key_is_refused(refusal, hand_name):
+def test_an_unknown_key_is_refused(refusal_of_content, hand_name):
     for path, _ in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
-        line = refusal(content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, "colour"), 1.0))
+        line = refusal_of_content(
+            content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, "colour"), 1.0)
+        )
         key_text = key_path_text(CONTENT_BY_HAND_NAME[hand_name], path)
         assert line.startswith(
             f"my/hand.toml: {key_text}{'.' if key_text else ''}colour: unknown key; expected one of "
@@ -174,7 +179,7 @@ def test_an_unknown_key_is_refused(refusal, hand_name):
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
-def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
+def test_a_misspelt_key_is_reported_with_the_right_one(refusal_of_content, hand_name):
     for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
             if key == "schema" and path == ():
@@ -186,7 +191,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
             for key_or_index in path:
                 node = node[key_or_index]
             del node[key]
-            line = refusal(content)
+            line = refusal_of_content(content)
             assert f"{key}s: unknown key; expected {key}" in line
 
 

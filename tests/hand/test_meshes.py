@@ -127,7 +127,7 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(
 
 
 def hand_with_mesh_keys(hand_name: str, **mesh_keys: object):
-    """Return a packaged hand in which the mesh keys of the digits are replaced by the given keys."""
+    """Return a packaged hand in which every digit has the mesh keys ``mesh_keys``."""
     content = hand_without_meshes(hand_name).content
     content["digit"] = [digit | mesh_keys for digit in content["digit"]]
     return hand_from_content(content, hand_name)

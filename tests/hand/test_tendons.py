@@ -50,13 +50,13 @@ def test_the_knee_is_smooth(law):
 
 @for_each_elasticity
 def test_tension_is_the_integral_of_the_tangent_stiffness(law):
-    knee = law.knee / law.stiffness
-    for stretch in np.linspace(0.1, 3.0, 12) * knee:
+    knee_stretch = law.knee / law.stiffness
+    for stretch in np.linspace(0.1, 3.0, 12) * knee_stretch:
         total, _ = quad(
             law.tangent_stiffness,
             0.0,
             stretch,
-            points=[knee] if stretch > knee else None,
+            points=[knee_stretch] if stretch > knee_stretch else None,
             epsrel=1e-11,
         )
         assert math.isclose(law.elastic_tension(stretch), total, rel_tol=1e-8)
@@ -145,9 +145,9 @@ def test_friction_follows_the_capstan_equation(digits, rng):
                 )
         paying_out_factors = pulley_factors(digit, q, np.full(count, -1.0))
         assert np.allclose(winding_factors * paying_out_factors, 1.0, rtol=1e-12)
-        slow_pulley_factors = pulley_factors(digit, q, np.full(count, 1e-3))
-        assert (winding_factors < slow_pulley_factors).all()
-        assert (slow_pulley_factors < 1.0).all()
+        slow_winding_factors = pulley_factors(digit, q, np.full(count, 1e-3))
+        assert (winding_factors < slow_winding_factors).all()
+        assert (slow_winding_factors < 1.0).all()
 
 
 def test_friction_of_a_closed_grasp_is_a_fifth_to_a_third():
@@ -178,8 +178,9 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
     """Check the tensions of a digit with one tendon per joint and the moment arm r at every joint.
 
-    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones.
-    Therefore a tension times r equals the torque of one joint minus the torque of the next joint.
+    The matrix of the moment arms is R = r S, where S is the lower triangular matrix of ones. The
+    tension of a tendon times the moment arm r equals the torque of its joint minus the torque of
+    the next joint.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

@@ -130,8 +130,8 @@ def test_every_unit_of_the_digits_is_named(
     """Reproduce a defect: the axis for the joint angle of a finger had no label.
 
     In a figure of a gripper with a jaw and a finger, only the axis for the position of the jaw had
-    a label. Because this label contained the unit mm, readers could think that the angle of the
-    finger was also in mm.
+    a label. The label for the jaw contained the unit mm, so readers could think that the angle of
+    the finger was also in mm.
     """
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})
@@ -143,7 +143,7 @@ def test_every_unit_of_the_digits_is_named(
 def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     """Reproduce a defect: the texts "release" and "open" overlapped, and the end of the axis cut off the text "end"."""
     limits = (0.4, 9.4)
-    width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
+    mark_width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
     times = [0.65, 1.0, 3.0, 8.0, 8.1, 9.35, 9.39, 12.0]
     times += np.random.default_rng(seed).uniform(*limits, size=8).tolist()
     positions = _mark_positions(times, limits)
@@ -152,6 +152,6 @@ def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     shown_positions = [position for position in positions if position]
     assert len(shown_positions) >= 7
     for i, (left_edge, height) in enumerate(shown_positions):
-        assert limits[0] <= left_edge <= limits[1] - width + 1e-9
+        assert limits[0] <= left_edge <= limits[1] - mark_width + 1e-9
         for other_left_edge, other_height in shown_positions[:i]:
-            assert height != other_height or abs(left_edge - other_left_edge) >= width
+            assert height != other_height or abs(left_edge - other_left_edge) >= mark_width

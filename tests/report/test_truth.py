@@ -156,13 +156,13 @@ def test_a_copy_has_the_rows_between_two_times(
         int(complete_truth.t_ns[0]),
         int(complete_truth.t_ns[1] - complete_truth.t_ns[0]),
     )
-    copied = copy_truth(
+    copied_row_count = copy_truth(
         tmp_path / "whole",
         tmp_path / "part",
         first_ns + step * start_row,
         first_ns + step * end_row,
     )
-    assert copied == len(expected_rows)
+    assert copied_row_count == len(expected_rows)
     copied_truth = read_truth(tmp_path / "part")
     assert copied_truth.columns == complete_truth.columns
     np.testing.assert_array_equal(

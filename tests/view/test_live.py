@@ -111,7 +111,7 @@ def test_live_view_ends_with_its_viewer(
         recorder.close("finished")
 
 
-FOLLOW_TWO_LOGS = """
+FOLLOW_TWO_LOGS_SCRIPT = """
 import sys
 from pathlib import Path
 from handctl.view.log_follower import follow_logs
@@ -134,7 +134,7 @@ def test_two_growing_logs_arrive_in_one_viewer(
         Recorder.start(path, header) for path, header in zip(hand_by_log, headers, strict=True)
     ]
     live_view_process = subprocess.Popen(
-        [sys.executable, "-c", FOLLOW_TWO_LOGS, *map(str, hand_by_log)]
+        [sys.executable, "-c", FOLLOW_TWO_LOGS_SCRIPT, *map(str, hand_by_log)]
     )
     viewers: list[psutil.Process] = []
     try:

@@ -130,18 +130,24 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
             "", store, [shown_recording], [View("1", "3D", "hand", "/", True, [])], [], None, None
         )
 
-    def line(end_ns: int | None) -> Timeline:
+    def timeline_until(end_ns: int | None) -> Timeline:
         return Timeline("run_time", "duration", 0, end_ns)
 
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
-    remaining_states = iter(
-        [state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))]
+    remaining_viewer_states = iter(
+        [
+            state(),
+            state(timeline_until(None)),
+            state(elsewhere),
+            state(timeline_until(49)),
+            state(timeline_until(50)),
+        ]
     )
 
     class FakeViewerClient:
         def get_state(self) -> ViewerState:
-            return next(remaining_states)
+            return next(remaining_viewer_states)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
     wait_until_loaded(FakeViewerClient(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
-    assert next(remaining_states, None) is None
+    assert next(remaining_viewer_states, None) is None

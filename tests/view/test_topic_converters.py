@@ -149,9 +149,11 @@ def test_lateness_and_bus_load_add_up(
             (tick.tick_in.t_ns, sum(frame_time_s(len(frame.data), False, 1e6) for frame in frames))
         )
         now = tick.tick_in.t_ns
-        times_in_window = [time for t, time in bus_times if now - BUS_LOAD_WINDOW_NS < t <= now]
+        frame_times_in_window = [
+            time for t, time in bus_times if now - BUS_LOAD_WINDOW_NS < t <= now
+        ]
         expected.append(
-            100 * sum(times_in_window) / min(BUS_LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
+            100 * sum(frame_times_in_window) / min(BUS_LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
         )
     np.testing.assert_allclose(
         recorded_entities["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9

@@ -1,6 +1,6 @@
 """CiA 402 drives on a test bench, with the settings of a drive as delivered.
 
-The data of the free shaft are assumptions.
+The motor data of the free shaft are assumed.
 """
 
 from firmware_sim.bus.frame import Frame

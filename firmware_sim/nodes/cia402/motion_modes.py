@@ -293,11 +293,11 @@ class MotionModes:
         node = self._node
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
-        window = node.objects[0x6065, 0]
+        following_error_window = node.objects[0x6065, 0]
         if (
             self._mode == CYCLIC_VELOCITY
-            or window == FOLLOWING_ERROR_WINDOW_OFF
-            or abs(error) <= window
+            or following_error_window == FOLLOWING_ERROR_WINDOW_OFF
+            or abs(error) <= following_error_window
         ):
             self._in_window_ns = t_ns
             self._bits &= ~FOLLOWING_ERROR_BIT
@@ -313,9 +313,9 @@ class MotionModes:
 
     def _is_target_reached(self) -> bool:
         """Return True if both the demand and the measured position have reached the target."""
-        window = self._node.objects[0x6067, 0]
+        position_window = self._node.objects[0x6067, 0]
         has_arrived = self._demand.position == self._target and self._queued_target is None
-        return has_arrived and abs(self._position() - self._target) <= window
+        return has_arrived and abs(self._position() - self._target) <= position_window
 
     def _status_bits(self) -> int:
         """Return the status word bits that the active mode of the drive sets."""

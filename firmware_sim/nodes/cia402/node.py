@@ -318,14 +318,14 @@ class Cia402Node:
             raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         # If bit 0 of the specifier is set, bits 3..2 give the number of unused bytes. If bit 0 is
         # not set, the size of the object is used, because the request contains no size.
-        size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
+        size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.object_size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
-    def _first_segment(self, name: bytes, text: bytes) -> bytes:
+    def _first_segment(self, object_address: bytes, text: bytes) -> bytes:
         """Return the reply that announces a text, and store the text in segments of up to seven bytes."""
         self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
-        return b"\x41" + name + len(text).to_bytes(4, "little")
+        return b"\x41" + object_address + len(text).to_bytes(4, "little")
 
     def _next_segment(self, toggle_bit: int) -> bytes:
         """Return the reply with the next segment of a text.

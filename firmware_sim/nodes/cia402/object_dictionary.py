@@ -153,7 +153,7 @@ class ObjectDictionary:
         """
         return {key: self[key] for key in self._writable if key not in COMMAND_OBJECTS}
 
-    def size(self, key: ObjectKey) -> int:
+    def object_size(self, key: ObjectKey) -> int:
         """Return the size of an object [bytes].
 
         Raises:
@@ -173,7 +173,7 @@ class ObjectDictionary:
         Raises:
             SdoAbort: the object does not exist.
         """
-        size = self.size(key)
+        size = self.object_size(key)
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
@@ -182,7 +182,7 @@ class ObjectDictionary:
         Raises:
             SdoAbort: the object does not exist, is read-only, or has a different length.
         """
-        if len(value_bytes) != self.size(key):
+        if len(value_bytes) != self.object_size(key):
             raise SdoAbort(ABORT_WRONG_TYPE)
         if key not in self._writable:
             raise SdoAbort(ABORT_READ_ONLY)

@@ -1,7 +1,7 @@
 """The object dictionary of the simulated CiA 404 amplifier. Source: docs/facts/cia404.md.
 
-The list below gives the values of the objects in a delivered amplifier. In the list, c is the
-number of a channel, counted from 1.
+The list below gives the values of the objects in a delivered amplifier. In the list of objects, c
+is the number of a load-cell channel, counted from 1.
 
     1000:0  device type    0x00020194: analogue inputs, profile 404
     1005:0  SYNC           0x080
@@ -53,21 +53,21 @@ OVERLOAD_RATIO = 1.03125
 
 Source: WIKA MH-4-CAN, overload at 3.125 % beyond the range.
 """
-FLOAT_PROCESS_VALUE = 0x6130
+FLOAT_PROCESS_VALUE_INDEX = 0x6130
 """Index of the process value as a float."""
-INT16_PROCESS_VALUE = 0x7130
+INT16_PROCESS_VALUE_INDEX = 0x7130
 """Index of the process value with 16 bits."""
-INT32_PROCESS_VALUE = 0x9130
+INT32_PROCESS_VALUE_INDEX = 0x9130
 """Index of the process value with 32 bits."""
-_OVERLOAD_VALUES = {INT16_PROCESS_VALUE: -(1 << 15), INT32_PROCESS_VALUE: -(1 << 31)}
+_OVERLOAD_VALUES = {INT16_PROCESS_VALUE_INDEX: -(1 << 15), INT32_PROCESS_VALUE_INDEX: -(1 << 31)}
 """Integer process values that report an overload.
 
 In an overload, the float process value is NaN. Source: WIKA MH-4-CAN.
 """
 _MAPPABLE_SIZES_BYTES = {
-    FLOAT_PROCESS_VALUE: 4,
-    INT16_PROCESS_VALUE: 2,
-    INT32_PROCESS_VALUE: 4,
+    FLOAT_PROCESS_VALUE_INDEX: 4,
+    INT16_PROCESS_VALUE_INDEX: 2,
+    INT32_PROCESS_VALUE_INDEX: 4,
     0x6150: 1,
 }
 """Sizes of the objects that can be mapped into a TPDO [bytes]."""
@@ -100,7 +100,7 @@ class AmplifierObjects:
         self._add_object((0x1018, 4), 4, serial, is_fixed=True)
         for i in range(TPDO_COUNT):
             mapped_objects = [
-                INT32_PROCESS_VALUE << 16 | c << 8 | 32
+                INT32_PROCESS_VALUE_INDEX << 16 | c << 8 | 32
                 for c in (2 * i + 1, 2 * i + 2)
                 if c <= channels
             ]
@@ -122,7 +122,7 @@ class AmplifierObjects:
     def _add_object(
         self, key: ObjectKey, byte_count: int, value: int, is_fixed: bool = False
     ) -> None:
-        """Add an object to the dictionary. A fixed object is read-only for hosts."""
+        """Add an object to the object dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = byte_count
         self._values[key] = value
         if is_fixed:
@@ -211,7 +211,7 @@ class AmplifierObjects:
         # that does not set the unit reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
-        if index == FLOAT_PROCESS_VALUE:
+        if index == FLOAT_PROCESS_VALUE_INDEX:
             return struct.pack("<f", value)
         size = _MAPPABLE_SIZES_BYTES[index]
         count = _OVERLOAD_VALUES[index] if status else round(value * 10 ** self[0x6132, channel])

@@ -8,8 +8,8 @@ Source: docs/facts/moteus.md.
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
 In the first byte of a register subframe, bits 3 and 2 give the type of the values: int8, int16,
-int32 or float32. Bits 1 and 0 of this byte contain the number of values. If these two bits are 0,
-the next bytes contain the number of values as a varuint. Numbers are little-endian.
+int32 or float32. Bits 1 and 0 of the first byte contain the number of values. If bits 1 and 0 are
+0, the next bytes contain the number of values as a varuint. Numbers are little-endian.
 """
 
 import math

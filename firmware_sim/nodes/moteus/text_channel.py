@@ -35,7 +35,7 @@ MAX_COMMAND_LINE_BYTES = 256
 
 
 class TextChannel:
-    """The text channel of one controller.
+    """The simulated diagnostic text channel of one moteus controller.
 
     Attributes:
         items: configuration items in the working memory.

@@ -1,4 +1,4 @@
-"""ODrives as delivered. The data of the free shaft and the endpoint numbers are assumptions."""
+"""ODrives as delivered. The motor data of the free shaft, and the endpoint numbers of the settings, are assumed."""
 
 import struct
 from typing import Any

@@ -115,8 +115,9 @@ def trip_at_speed_limit(node: Any, servo: Any) -> None:
 
     In torque control, the drive brakes if the speed is above the speed limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    velocity setpoint. In torque control and in velocity control, the torque is at most gain *
-    (limit - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
+    velocity setpoint. In torque control and in velocity control, the torque is at most the velocity
+    gain times (speed limit - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``,
+    limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear

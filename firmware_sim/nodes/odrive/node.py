@@ -118,7 +118,7 @@ _MIN_PAYLOAD_BYTES = {
 """Minimum length of the payload of each accepted message, by command number [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
 """Command numbers of the Get messages that firmware 0.5.x answers."""
-_LEGACY_ERRORS = {
+_LEGACY_ERROR_BY_ERROR = {
     MISSING_INPUT_ERROR: 1 << 0,
     MOTOR_OVERHEATED_ERROR: 1 << 6,
     WATCHDOG_ERROR: 1 << 11,
@@ -294,7 +294,7 @@ class OdriveNode:
     def _get_payload(self, command: int) -> bytes:
         """Return the payload of a Get message.
 
-        If the firmware does not have the message, the payload is empty.
+        If the firmware version does not support the Get message, the payload is empty.
         """
         gear = self.gear
         sign = self.direction
@@ -552,7 +552,7 @@ class OdriveNode:
         if self.legacy:
             errors = sum(
                 legacy_error
-                for new_error, legacy_error in _LEGACY_ERRORS.items()
+                for new_error, legacy_error in _LEGACY_ERROR_BY_ERROR.items()
                 if (self.active_errors | self.disarm_reason) & new_error
             )
             trajectory_done_bit = self.motion.done << 7
@@ -560,7 +560,7 @@ class OdriveNode:
                 "<IBBBB",
                 errors,
                 self.state,
-                errors == _LEGACY_ERRORS[MOTOR_OVERHEATED_ERROR],
+                errors == _LEGACY_ERROR_BY_ERROR[MOTOR_OVERHEATED_ERROR],
                 0,
                 trajectory_done_bit,
             )
@@ -578,7 +578,7 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """A simulated axis whose state is in an array row, for compiled kernels."""
+    """A simulated ODrive axis whose state is one row of an array, which compiled kernels can read."""
 
     layout = OdriveStruct
 

@@ -356,7 +356,7 @@ class RobstrideNode:
         self._schedule()
 
     def power_cycle(self) -> None:
-        """Restart in reset mode, with the saved parameters."""
+        """Restart the motor in reset mode (without torque), with the saved parameters."""
         self._stop(clear_faults=True)
         self.parameters = dict(self._saved)
         self._host = FACTORY_HOST_ID

@@ -113,7 +113,8 @@ _drives_cache, _goals_cache, _other_parts_cache = (
 def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     """Return an 8-byte hash of the decisions.
 
-    The hash uses the stored bytes of each part of the decisions that has not changed.
+    If a part of the decisions has not changed since an earlier tick, the function takes the
+    serialized bytes of this part from a cache.
     """
     drives = _drives_cache(decisions.drives)
     goals = _goals_cache(decisions.progress.goals)
@@ -304,12 +305,12 @@ class ControllerState:
 
     @property
     def estimate(self) -> HandEstimate:
-        """Return the estimate of the tick in the form that programs use."""
+        """Return the estimated state of the hand in this tick, as an object with named quantities."""
         return HandEstimate(self.layout, self.block, self.tendon)
 
     @property
     def measurements(self) -> TickMeasurements:
-        """Return the measurements of the tick in the form that programs use."""
+        """Return the measurements of this tick, as an object with named quantities."""
         return TickMeasurements(self.layout, self.block, self.tendon)
 
     @property

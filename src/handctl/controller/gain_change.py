@@ -36,7 +36,9 @@ MAX_CACHED_DESIGNS = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step after which the design of the controller is still incomplete, or has failed.
+    """Result of a design step that did not complete the design of the controller.
+
+    The design is still in progress, or has failed.
 
     Attributes:
         pending_gains: state of the design, or None if no stabilising gains exist for the requested
@@ -91,7 +93,7 @@ class DesignCache:
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller in which ``gains`` replace the present gains.
 
-        The design for ``gains`` stays in the cache.
+        The designed controller for ``gains`` stays in the cache, for later changes of gains.
         """
         self.gains_in_use = gains
         if gains not in self.controllers:

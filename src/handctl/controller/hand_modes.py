@@ -1,9 +1,10 @@
 """State machine for the mode of a hand during a run.
 
 At the start of a run, the host is silent. At the end of a run, every drive has confirmed that it is
-disabled. SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every
-mode with torque, the hand can change to the mode CUT. For each mode, one function returns the next
-mode and, if the run has failed, the reason of the failure.
+disabled. A run passes through the modes SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX
+-> DISARM -> DONE. From every mode in which motors make torque, the hand can change directly to the
+mode CUT, which disables all drives at once. For each mode, one function returns the next mode and,
+if the run has failed, the reason of the failure.
 """
 
 import math
@@ -500,8 +501,8 @@ def _motors_possibly_with_torque(
 ) -> tuple[str, ...]:
     """Return the names of motors that possibly still make torque at the end of a run.
 
-    If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
-    can have tension although its motor makes no torque.
+    If the run ends before arming, the function ignores the tensions of the tendons. Before arming,
+    a tendon can have tension although its motor makes no torque.
     """
     pulling_motors = (
         () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)

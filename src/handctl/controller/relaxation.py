@@ -8,7 +8,7 @@ tendon. No measurement can raise the envelope:
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
 Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
-pair, u is the absolute value of the force, and the force keeps its direction.
+pair, u is the absolute value of the motor force, and the sign of the motor force does not change.
 
 The envelope begins at the last motor command, but not above a limit. The limit is the present
 tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. Some tendons are controlled
@@ -83,17 +83,17 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     table[s.TENSION_SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force. The envelope starts from the commanded motor
     # force in the next tick.
-    explained_force = present_tensions
+    plausible_tension = present_tensions
     if any(
         FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
         for latched_fault in state.latched_faults
     ):
         # If the load cell could be wrong, the true tension can be as large as the tension setpoint.
         # A digit that follows a position goal has no tension setpoint.
-        explained_force = np.where(
+        plausible_tension = np.where(
             in_tension_loop, np.maximum(present_tensions, start), present_tensions
         )
-    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained_force)
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, plausible_tension)
     tendon_integers[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 

@@ -153,7 +153,7 @@ class RunSetup(Document):
     def controller(self, hand: Hand, gains: Gains) -> Controller:
         """Construct the controller that the set-up describes.
 
-        The construction includes the design of all gains.
+        The function also designs the gains of all control loops.
         """
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT_NAME)
         known_hand = hand_from_content(identified, SETUP_ATTACHMENT_NAME) if identified else hand
@@ -191,8 +191,8 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
 
     If several drives have the same text, one line names all of them.
 
-    Lines about a watchdog come first. A drive without a watchdog keeps its torque if the host
-    fails.
+    Lines about a watchdog come first, because a drive without a watchdog keeps its torque if the
+    host fails.
     """
     drive_texts = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
     return lines_by_text(

@@ -88,7 +88,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
 
 
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
-    """Start a stream of joint angles at the present motion reference of the digits that belong to the stream."""
+    """Set the start of a joint-angle stream to the present motion reference of each streamed digit."""
     rows = state.layout.table(state.block, "coordinate")
     reference = present_references(model, state)
     for d in digits:
@@ -117,7 +117,7 @@ def bring_to_rest(
 ) -> ProgramProgress:
     """Replace the goals of all moving digits by goals at which the digits come to rest.
 
-    Return the progress of the program after the goals are replaced.
+    Return the new progress of the program, which contains the replaced goals.
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)

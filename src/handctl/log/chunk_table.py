@@ -3,9 +3,10 @@
 A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
 all chunks. The records of the mcap package would need 2 KB of memory for each chunk, or 30 MB for
 each hour of a run. The compact table needs 64 bytes for each chunk. Each chunk is followed by the
-message indexes of one or more channels. Most chunks have an equal arrangement of message indexes:
-equal channels at equal distances. The table stores each arrangement only once. Full blocks of the
-table are compressed to a third of their size, because successive chunks have similar numbers.
+message indexes of one or more channels. After most chunks, the same channels have message indexes,
+at the same distances from the end of the chunk. The table stores each such arrangement of message
+indexes only once. Full blocks of the table are compressed to a third of their size, because
+successive chunks have similar numbers.
 """
 
 import struct

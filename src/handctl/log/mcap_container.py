@@ -1,10 +1,10 @@
 """Writer of files in the container format MCAP.
 
 The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes the records that are rare in a file. Chunks and message indexes are
-frequent. If the package also encoded the frequent records, their encoding would take most of the
-writing time. Therefore this module encodes chunks and message indexes itself. Chunks and message
-indexes have these layouts:
+long. The package mcap encodes only the kinds of records that occur rarely in a file. Chunks and
+message indexes are frequent. If the package also encoded the frequent records, their encoding would
+take most of the writing time. Therefore this module encodes chunks and message indexes itself.
+Chunks and message indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -98,7 +98,7 @@ class _SummarySection:
 
 
 class McapContainer:
-    """MCAP file that is being written. The writer itself does not buffer data.
+    """MCAP file that is being written. The class does not buffer data.
 
     Attributes:
         complete_size: length of the file up to the end of the last complete record [bytes].

@@ -225,7 +225,7 @@ class TickBatcher:
         self._add_phase_and_events(message, message_slices.tail_offset)
 
     def _add_long_payloads(self, data: bytes) -> None:
-        """Add the payload bytes from the ninth byte on, for the received and for the sent frames of a tick."""
+        """Add the payload bytes after the eighth byte of each received frame and of each sent frame of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
         received_size = int(np.maximum(lengths - 8, 0).sum())

@@ -171,8 +171,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _eventless_message_tail(phase: str) -> bytes:
     """Return the last bytes of a Tick message without events: the phase and three empty sequences.
 
-    If the last bytes begin at a multiple of four bytes in the message, they depend only on the
-    phase. Therefore the function can cache the last bytes for each phase.
+    The last bytes depend only on the phase if they begin at a multiple of four bytes in the
+    message. The cache of the function contains one result for each phase.
     """
     writer = CdrWriter()
     writer.put_string(phase)
@@ -182,7 +182,7 @@ def _eventless_message_tail(phase: str) -> bytes:
 
 
 def _message_end(
-    start_offset: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]
+    start_offset: int, phase: str, tick_input: TickIn, events: tuple[TickEvent, ...]
 ) -> bytes:
     """Return the end of a Tick message: phase, io events, requests and events.
 
@@ -190,17 +190,17 @@ def _message_end(
         start_offset: offset at which the end begins in the body of the message [bytes]. The
             alignment of the fields depends on this offset.
         phase: grasp phase in the tick.
-        tick_in: inputs of the tick.
+        tick_input: inputs of the tick.
         events: events of the tick.
     """
     writer = CdrWriter(start_offset)
     writer.put_string(phase)
-    writer.put_length(len(tick_in.io_events))
-    for kind, location, number in tick_in.io_events:
+    writer.put_length(len(tick_input.io_events))
+    for kind, location, number in tick_input.io_events:
         writer.put_string(kind)
         writer.put_string(location)
         writer.put_number("q", number)
-    writer.put_strings(tuple(map(request_text, tick_in.requests)))
+    writer.put_strings(tuple(map(request_text, tick_input.requests)))
     writer.put_length(len(events))
     for event in events:
         for text in event:
@@ -208,29 +208,29 @@ def _message_end(
     return bytes(writer.data)
 
 
-def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
+def pack_tick(tick_input: TickIn, tick_output: TickOut) -> bytes:
     """Encode a tick as a handctl_msgs/Tick message.
 
     Raises:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit into its field.
     """
-    return b"".join(_message_parts(tick_in, tick_output))
+    return b"".join(_message_parts(tick_input, tick_output))
 
 
-def _message_parts(tick_in: TickIn, tick_output: TickOut) -> list[bytes]:
+def _message_parts(tick_input: TickIn, tick_output: TickOut) -> list[bytes]:
     """Encode a tick as a handctl_msgs/Tick message, and return the consecutive parts of the message.
 
     This function raises the same errors as `pack_tick`.
     """
-    received_rows = frames_as_records(tick_in.frames).rows
+    received_rows = frames_as_records(tick_input.frames).rows
     sent_rows = frames_as_records(tick_output.frames).rows
     if len(tick_output.state_hash) != 8:
         raise ValueError(f"state hash of {len(tick_output.state_hash)} bytes; expected 8")
     tick_head = TICK_HEAD_STRUCT.pack(
-        tick_in.k,
-        tick_in.t_ns,
-        tick_in.late_ns,
+        tick_input.k,
+        tick_input.t_ns,
+        tick_input.late_ns,
         tick_output.state_hash,
         tick_output.mode,
         tick_output.action,
@@ -256,11 +256,11 @@ def _message_parts(tick_in: TickIn, tick_output: TickOut) -> list[bytes]:
         if lengths.strip(_SHORT_DATA_LENGTHS)
         else _NO_LONG_DATA,
     ]
-    if tick_in.io_events or tick_in.requests or tick_output.events:
+    if tick_input.io_events or tick_input.requests or tick_output.events:
         # The alignment of the texts does not count the encapsulation header.
         start_offset = sum(map(len, message_parts)) - len(ENCAPSULATION_HEADER)
         message_parts.append(
-            _message_end(start_offset, tick_output.phase, tick_in, tick_output.events)
+            _message_end(start_offset, tick_output.phase, tick_input, tick_output.events)
         )
     else:
         message_parts.append(_eventless_message_tail(tick_output.phase))
@@ -273,12 +273,12 @@ def _long_payloads(received_rows: WordRows, sent_rows: WordRows) -> bytes:
     return _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
 
 
-def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
+def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
     """Encode a tick as a record for the pipe, with the telemetry after the Tick message.
 
     This function raises the same errors as `pack_tick`.
     """
-    message_parts = _message_parts(tick_in, tick_output)
+    message_parts = _message_parts(tick_input, tick_output)
     message_size = sum(map(len, message_parts))
     values = tick_output.telemetry.to_bytes()
     body_size = TICK_SIZES_STRUCT.size + message_size + len(values)
@@ -292,10 +292,10 @@ def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
     )
 
 
-def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
+def pack_snapshot(tick_input: TickIn, data: bytes) -> bytes:
     """Encode the controller's state after a tick as a record for the pipe."""
     return record_bytes(
-        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_in.k, tick_in.t_ns) + data
+        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_input.k, tick_input.t_ns) + data
     )
 
 
@@ -461,9 +461,9 @@ def _build_tick(
         )
         for _ in range(reader.read_length())
     )
-    tick_in = TickIn(k, t_ns, lateness_ns, received_frames, io_events, requests)
+    tick_input = TickIn(k, t_ns, lateness_ns, received_frames, io_events, requests)
     return TickRecord(
-        tick_in, sent_frames, HandMode(mode), phase, SafetyAction(action), events, state_hash
+        tick_input, sent_frames, HandMode(mode), phase, SafetyAction(action), events, state_hash
     )
 
 
@@ -472,11 +472,11 @@ def _tick_without_events(
 ) -> TickRecord:
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
-    tick_in = new_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
+    tick_input = new_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
     mode_member = _MODE_BY_VALUE.get(mode) or HandMode(mode)
     action_member = _ACTION_BY_VALUE.get(action) or SafetyAction(action)
     return new_tuple(
-        TickRecord, (tick_in, sent_frames, mode_member, phase, action_member, (), state_hash)
+        TickRecord, (tick_input, sent_frames, mode_member, phase, action_member, (), state_hash)
     )
 
 

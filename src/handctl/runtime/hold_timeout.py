@@ -1,9 +1,9 @@
 """Time limit for the safety reaction HOLD, in which a fault stops the motion of the hand.
 
-The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
-motion program does not advance. If the gains make a hand oscillate, the controller reports fault
-N07 (noisy encoder), and holds the hand until the oscillation ends. Without a time limit, a run with
-an oscillation might never end.
+The time limit for HOLD applies only to runs that no operator watches. While a fault holds the hand,
+the time of the motion program does not advance. If the gains make a hand oscillate, the controller
+reports fault N07 (noisy encoder), and holds the hand until the oscillation ends. Without a time
+limit, a run with an oscillation might never end.
 """
 
 from dataclasses import dataclass, field

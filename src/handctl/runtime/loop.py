@@ -5,10 +5,10 @@ of a tick, the loop reads requests and streamed targets, and sends commands. At 
 the loop concludes and records the tick. The same loop runs in real time and in lockstep.
 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
-numbers of the missed ticks. The next executed tick decides whether the gap in the tick numbers is a
-fault. Only this module of the project catches exceptions of every kind. After any error inside a
-tick, the loop disables the drives, and polls them until they report that they are disabled. After
-that, the loop raises the same error again.
+numbers of the missed ticks. In the next executed tick, the controller decides whether the missing
+tick numbers are a fault. Only this module of the project catches exceptions of every kind. After
+any error inside a tick, the loop disables the drives, and polls them until they report that they
+are disabled. After that, the loop raises the same error again.
 """
 
 import gc
@@ -160,11 +160,13 @@ class StopSignals:
             yield
 
 
-def _skip_snapshot(entry: TickIn, state: object) -> None:
+def _skip_snapshot(tick_input: TickIn, state: object) -> None:
     """Do nothing with the state after a tick. A run that records no snapshots calls this function."""
 
 
-def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
+def _skip_publication(
+    tick_input: TickIn, tick_output: TickOut, state: object, sent_ns: int
+) -> None:
     """Do nothing with a tick. A run that publishes no ticks to other programs calls this function."""
 
 
@@ -360,14 +362,14 @@ class ControlLoop(Generic[S]):
             skipped_ticks = late_ns // self.period_ns
             k += skipped_ticks
             self._k = k
-            entry = self._collect_tick_input(k, late_ns - skipped_ticks * self.period_ns)
-            tick = self.begin_tick(last_state[0], entry)
-            self._rehearsed_inputs = last_state[0], entry
+            tick_input = self._collect_tick_input(k, late_ns - skipped_ticks * self.period_ns)
+            tick = self.begin_tick(last_state[0], tick_input)
+            self._rehearsed_inputs = last_state[0], tick_input
             requests = self.take_requests()
             tick.decide(requests)
             targets = self.take_targets()
             if requests or targets:
-                entry = entry._replace(requests=requests + targets)
+                tick_input = tick_input._replace(requests=requests + targets)
             frames = tick.command(targets)
             # After an error, every drive that may have received an enable command must report that
             # it is disabled. Therefore the loop stores the state before it sends the commands that
@@ -376,11 +378,11 @@ class ControlLoop(Generic[S]):
             self._send(frames)
             sent_ns = time.monotonic_ns()
             last_state[0], tick_output = tick.conclude()
-            self.publish_tick(entry, tick_output, last_state[0], sent_ns)
-            self.record_tick(entry, tick_output)
-            self.record_snapshot(entry, last_state[0])
-            self._count_tick(entry, skipped_ticks, late_ns)
-            self.show_tick(entry, tick_output)
+            self.publish_tick(tick_input, tick_output, last_state[0], sent_ns)
+            self.record_tick(tick_input, tick_output)
+            self.record_snapshot(tick_input, last_state[0])
+            self._count_tick(tick_input, skipped_ticks, late_ns)
+            self.show_tick(tick_input, tick_output)
             mode = tick_output.mode
             k += 1
         return last_state[0]
@@ -412,7 +414,7 @@ class ControlLoop(Generic[S]):
         self.stats.frames_tx += accepted
         self.stats.refused_frames += len(frames) - accepted
 
-    def _count_tick(self, entry: TickIn, skipped_ticks: int, lateness_ns: int) -> None:
+    def _count_tick(self, tick_input: TickIn, skipped_ticks: int, lateness_ns: int) -> None:
         """Count a tick in the statistics, and store the lateness of the tick."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
@@ -421,4 +423,4 @@ class ControlLoop(Generic[S]):
             stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = lateness_ns
         stats.ticks += 1
         stats.missed_ticks += skipped_ticks
-        stats.frames_rx += len(entry.frames)
+        stats.frames_rx += len(tick_input.frames)

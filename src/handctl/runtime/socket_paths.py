@@ -104,7 +104,7 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
 def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
     """Return the file status of a part of a path. A symbolic link is not followed.
 
-    A missing part is created as a folder.
+    If the part of the path does not exist, the function creates a folder.
     """
     with suppress(FileNotFoundError):
         return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)

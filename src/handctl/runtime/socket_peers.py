@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (see ``socket_paths``). The check by this
-module is a second protection. On Linux, the kernel reports which user has sent a message to a
-socket. On other systems, this module trusts every sender of a message.
+The folder of the sockets already excludes other users (see ``socket_paths``). As a second
+protection, this module checks which user has sent a message. On Linux, the kernel reports which
+user has sent a message to a socket. On other systems, this module trusts every sender of a message.
 """
 
 import os

@@ -6,24 +6,24 @@ from handctl.core.tick_types import TickIn, TickOut
 
 
 def status_of_tick(
-    entry: TickIn, tick_output: TickOut, commander_name: str | None
+    tick_input: TickIn, tick_output: TickOut, commander_name: str | None
 ) -> dict[str, Any]:
     """Return the content of a tick's status line as plain values. A NaN becomes None.
 
     Args:
-        entry: inputs of the tick.
+        tick_input: inputs of the tick.
         tick_output: output of the tick.
         commander_name: client that commands the hand, or None if every client is allowed to start
             to command the hand.
     """
     numbers = tick_output.telemetry
     return {
-        "k": entry.k,
-        "t_s": entry.t_ns / 1e9,
+        "k": tick_input.k,
+        "t_s": tick_input.t_ns / 1e9,
         "mode": tick_output.mode.name,
         "phase": tick_output.phase,
         "commander": commander_name,
-        "late_us": entry.late_ns / 1e3,
+        "late_us": tick_input.late_ns / 1e3,
         "q_rad": _json_values(numbers.q.tolist()),
         "q_sigma_rad": _json_values(numbers.q_sigma.tolist()),
         "tension_N": _json_values(numbers.tension.tolist()),

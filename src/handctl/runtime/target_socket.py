@@ -103,11 +103,15 @@ class TargetReceiver:
         """Return the target in a datagram, or None if the datagram is malformed."""
         if len(datagram) < HEADER_STRUCT.size:
             return None
-        magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(datagram)
+        magic, process_id, stream_number, count, target_number, sent_ns = HEADER_STRUCT.unpack_from(
+            datagram
+        )
         if magic != TARGET_MAGIC or len(datagram) != HEADER_STRUCT.size + 8 * count:
             return None
         values = struct.unpack_from(f"<{count}d", datagram, HEADER_STRUCT.size)
-        return StreamTarget(stream_name(process, number), index, self._run_time(sent_ns), values)
+        return StreamTarget(
+            stream_name(process_id, stream_number), target_number, self._run_time(sent_ns), values
+        )
 
     def close(self) -> None:
         """Remove the socket."""
@@ -118,13 +122,13 @@ class TargetReceiver:
 class TargetSender:
     """Sender of one stream of targets, in a client."""
 
-    def __init__(self, name: str, process: int, number: int) -> None:
+    def __init__(self, name: str, process_id: int, stream_number: int) -> None:
         """Connect to the target socket of the controller on the bus ``name``.
 
         Raises:
             BusError: no controller receives targets for this bus.
         """
-        self._head = process, number
+        self._head = process_id, stream_number
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self._socket.connect(str(targets_path(name)))
@@ -135,22 +139,24 @@ class TargetSender:
             ) from None
         self._socket.setblocking(False)
 
-    def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
+    def send(self, target_number: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
         """Send a target.
 
         If the socket is full of targets that the controller has not read yet, return False.
 
         Args:
-            index: number of the target in the stream.
+            target_number: number of the target in the stream.
             sent_ns: reading of CLOCK_MONOTONIC when the target is sent [ns].
             values: (V,) values of the target.
 
         Raises:
             OSError: the controller no longer receives targets, because its run has ended.
         """
-        process, number = self._head
+        process_id, stream_number = self._head
         data = (
-            HEADER_STRUCT.pack(TARGET_MAGIC, process, number, len(values), index, sent_ns)
+            HEADER_STRUCT.pack(
+                TARGET_MAGIC, process_id, stream_number, len(values), target_number, sent_ns
+            )
             + values.astype("<f8").tobytes()
         )
         try:

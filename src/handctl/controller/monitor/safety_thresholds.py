@@ -124,14 +124,14 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     """Return the constants that describe how the frames of each drive encode the values of its position loop.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
-    value that a frame can contain. Another constant is the change of the motor force [N] that the
-    position loop computes if the measured position and speed change by one count each. The constant
-    ``servo_moves`` of a drive is True if the drive itself changes the commanded position between
-    two commands, at the commanded velocity. If the commands of a drive contain no kp and kd, the
-    value of one count is
-    1. The feedback of a drive consists of its position and its speed. A drive rounds its position
-    and its speed to counts of the protocol. If the counts of the encoder are coarser, the drive
-    rounds the position to counts of the encoder.
+    value that a frame can contain. The constant ``servo_rounding`` is a change of the motor force
+    [N]. The position loop computes this change if the measured position and speed change by one
+    count each. The constant ``servo_moves`` of a drive is True if the drive itself changes the
+    commanded position between two commands, at the commanded velocity. If the commands of a drive
+    contain no kp and kd, the function returns 1 as the value of one count of kp and kd. The
+    feedback of a drive consists of its position and its speed. A drive rounds its position and its
+    speed to counts of the protocol. If the counts of the encoder are coarser, the drive rounds the
+    position to counts of the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -206,7 +206,7 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the largest mean squared jerk of a motor's position that a healthy motor can have [rad^2].
+    """Return the upper limit of the mean squared jerk of a healthy motor's position [rad^2].
 
     A position step is the change of the position in one tick. The jerk of a position is the change
     of its position step from one tick to the next. The jerk equals the acceleration times the

@@ -1,14 +1,14 @@
 """Detection of unsolicited and duplicate replies.
 
-A reply is unsolicited or a duplicate if its node sends more replies than it has received requests
-from this host. If a motor replies before this host has sent its first request, a second controller
-has sent a request to the motor (fault H13). A single reply before the first request is sufficient
-for the fault H13. If a node sends more replies than it has received requests, the excess reply is a
-duplicate (fault B05). If the bytes of the excess reply differ from the expected reply, another node
-could use the same identifier (fault B06). A frame counts as a reply only if the state machine of
-the drive or of the sensor node accepts the frame as a reply. Heartbeats and frames with an old
-counter do not count as replies. The code of the module runs only in ticks with more replies than
-requests.
+A reply is unsolicited or a duplicate if its node has sent more replies than this host has sent
+requests to the node. If a motor replies before this host has sent its first request, a second
+controller has sent a request to the motor (fault H13). A single reply before the first request of
+this host causes the fault H13 (a second controller). If a node sends more replies than it has
+received requests, the excess reply is a duplicate (fault B05). If the bytes of the excess reply
+differ from the expected reply, another node could use the same identifier (fault B06). A frame
+counts as a reply only if the state machine of the drive or of the sensor node accepts the frame as
+a reply. Heartbeats and frames with an old counter do not count as replies. The code of the module
+runs only in ticks with more replies than requests.
 """
 
 from collections.abc import Sequence

@@ -145,7 +145,7 @@ def write_episode_video(
             f"the video begins {-episode_start_s:.2f} s after the start of the episode"
         )
         raise LogError(late_start_text, str(source_video), "a video of the whole run")
-    filters = [
+    video_filters = [
         f"setpts=PTS-STARTPTS-({episode_start_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
         f"tpad=stop_mode=clone:stop_duration={MAX_MISSING_VIDEO_S:g}",
@@ -154,7 +154,7 @@ def write_episode_video(
     encode = [
         "-an",
         "-vf",
-        ",".join(filters),
+        ",".join(video_filters),
         "-frames:v",
         str(frame_count),
         "-c:v",

@@ -12,13 +12,14 @@ PRISMATIC_SUFFIX = ".pos_m"
 """End of the name of an element that contains the position of a prismatic joint [m]."""
 
 
-def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[str, ...]:
+def position_names(joints: Iterable[str], prismatic_joints: Collection[str]) -> tuple[str, ...]:
     """Return the name of the vector element with the position of each joint, such as ``index_j1.pos_rad``.
 
     Args:
         joints: names of the joints, in order.
-        prismatic: names of those joints that are prismatic.
+        prismatic_joints: names of those joints that are prismatic.
     """
     return tuple(
-        f"{joint}{PRISMATIC_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints
+        f"{joint}{PRISMATIC_SUFFIX if joint in prismatic_joints else ANGLE_SUFFIX}"
+        for joint in joints
     )

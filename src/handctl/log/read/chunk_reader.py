@@ -211,7 +211,7 @@ def _read_text(body: bytes, offset: int) -> tuple[str, int]:
 
 
 def _read_bytes(body: bytes, offset: int) -> tuple[bytes, int]:
-    """Read a byte array of a record. Return the array and the offset after it."""
+    """Read a byte array of a record. Return the array, and the offset of the first byte after the array."""
     (size,) = struct.unpack_from("<I", body, offset)
     if offset + 4 + size > len(body):
         raise ValueError("a text extends beyond the end of its record")

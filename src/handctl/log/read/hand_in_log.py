@@ -11,7 +11,8 @@ from handctl.log.header import RunHeader
 def described_hand(header: RunHeader, location: str) -> Hand:
     """Return the hand that is described in a log.
 
-    The names in the description must be the names in the header of the log.
+    The description and the header of the log must contain the same names of joints, tendons, motors
+    and digits.
 
     Args:
         header: header of the log.

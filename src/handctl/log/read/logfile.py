@@ -173,8 +173,8 @@ class LogFile:
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
         with LogErrorContext(self.position_text(chunk.offset)):
-            packed = self.read_range(chunk.data_offset, chunk.end - chunk.data_offset)
-            content = _decompress_chunk(packed, chunk)
+            compressed_bytes = self.read_range(chunk.data_offset, chunk.end - chunk.data_offset)
+            content = _decompress_chunk(compressed_bytes, chunk)
             if len(content) != chunk.size:
                 raise ValueError(
                     f"chunk of {len(content)} bytes or more; declared are {chunk.size}"
@@ -186,16 +186,20 @@ class LogFile:
         return content
 
 
-def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
+def _decompress_chunk(compressed_bytes: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk.
 
-    The result has at most one byte more than the chunk declares.
+    The result is at most one byte longer than ``chunk.size``, the size that the chunk declares.
     """
     # One additional byte shows that a chunk is longer than it declares. The rest of a chunk that is
     # too long need not be decompressed.
     if chunk.compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
+        return bytes(
+            lz4.frame.LZ4FrameDecompressor().decompress(compressed_bytes, max_length=chunk.size + 1)
+        )
     if chunk.compression == "zstd":
-        reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(packed)
+        reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(
+            compressed_bytes
+        )
         return reader.read(chunk.size + 1)
-    return packed
+    return compressed_bytes

@@ -24,7 +24,7 @@ _STRING_PARAMETER_TYPE = 4
 """The values of rcl_interfaces/ParameterType that messages about gains contain."""
 
 
-def _stamped_writer(t_ns: int) -> CdrWriter:
+def _writer_with_time_stamp(t_ns: int) -> CdrWriter:
     """Return a CDR writer whose message begins with a time stamp."""
     writer = CdrWriter()
     writer.put_number("I", t_ns // 10**9)
@@ -34,7 +34,7 @@ def _stamped_writer(t_ns: int) -> CdrWriter:
 
 def encode_rosout(t_ns: int, level_name: str, name: str, text: str) -> bytes:
     """Encode a line of the log as rcl_interfaces/Log."""
-    writer = _stamped_writer(t_ns)
+    writer = _writer_with_time_stamp(t_ns)
     writer.put_number("B", LOG_LEVEL_NUMBERS.get(level_name, LOG_LEVEL_NUMBERS["error"]))
     writer.put_string(name)
     writer.put_string(text)
@@ -72,7 +72,7 @@ def encode_parameter_event(
 
     A gain whose text is a number is written as a double.
     """
-    writer = _stamped_writer(t_ns)
+    writer = _writer_with_time_stamp(t_ns)
     writer.put_string("/handctl")
     for group in (new_gains, changed_gains):
         writer.put_length(len(group))
@@ -84,7 +84,7 @@ def encode_parameter_event(
 
 def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
     """Encode a value of an enumeration as message handctl_msgs/GraspPhase, Mode or Action: header, number and name."""
-    writer = _stamped_writer(t_ns)
+    writer = _writer_with_time_stamp(t_ns)
     writer.put_string("")
     writer.put_number("B", number)
     writer.put_string(name)
@@ -137,13 +137,15 @@ class EventTopics:
         ]
         blocks = []
         for channel, states in lanes:
-            indexes = _changed_indexes(states, self._last.get(channel))
+            changed_indexes = _changed_indexes(states, self._last.get(channel))
             messages = [
                 encode_enum_message(int(stamps.log_times[index]), *states[index])
-                for index in indexes
+                for index in changed_indexes
             ]
             blocks.append(
-                variable_length_block(channel, stamps.select(_index_array(indexes)), messages)
+                variable_length_block(
+                    channel, stamps.select(_index_array(changed_indexes)), messages
+                )
             )
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]

@@ -148,7 +148,7 @@ class HealthTopics:
         ]
 
     def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
-        """Return the indices of the ticks for which a status message is written."""
+        """Return the indices of the ticks in ``batch`` that get a status message in the log."""
         # NaN does not equal NaN. Without this line, an unknown state of a drive would look like a
         # change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)

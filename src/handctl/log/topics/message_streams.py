@@ -73,9 +73,9 @@ class MessageStamps:
     log_times: TimeArray
     sequence: NDArray[np.uint32]
 
-    def select(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the stamps of the messages that `index` selects."""
-        return MessageStamps(self.log_times[index], self.sequence[index])
+    def select(self, selection: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
+        """Return the stamps of the messages that `selection` selects."""
+        return MessageStamps(self.log_times[selection], self.sequence[selection])
 
 
 def single_message_stamps(log_ns: int, k: int) -> MessageStamps:

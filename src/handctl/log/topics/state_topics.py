@@ -278,8 +278,10 @@ class StateTopics:
         names = list(self._header.tendons)
         net_tension = tension[:, [names.index(name) for name in self._pretension]]
         both_tensions = np.stack([net_tension, -net_tension], axis=2)
-        taut_tensions = np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
-        return np.maximum(np.maximum(taut_tensions, both_tensions), 0.0).reshape(
+        tensions_if_both_taut = (
+            np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
+        )
+        return np.maximum(np.maximum(tensions_if_both_taut, both_tensions), 0.0).reshape(
             len(net_tension), -1
         )
 

@@ -1,4 +1,5 @@
 """Writing of log files.
 
-A recorder process writes the file. The controller sends records to this process through a pipe.
+A recorder process writes the file. The controller sends records to the recorder process through a
+pipe.
 """

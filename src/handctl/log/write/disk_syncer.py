@@ -38,8 +38,8 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        While a sync is running, new requests for a sync can arrive. The next sync serves all new
-        requests.
+        While a sync is running, new requests for a sync can arrive. One further sync is then
+        sufficient for all of the new requests.
 
         Raises:
             OSError: an earlier sync failed.

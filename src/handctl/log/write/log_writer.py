@@ -215,8 +215,8 @@ class LogWriter:
     def _is_chunk_end(self, t_ns: int, is_chunk_start: bool) -> bool:
         """Return True if this tick must be the last tick of the current chunk.
 
-        In a lockstep run, the chunks end at fixed times. In other runs, a chunk ends after
-        CHUNK_SPAN_NS.
+        In a lockstep run, the chunks end at fixed times. In a run that is not in lockstep, a chunk
+        ends as soon as it spans CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
             previous_mark = self._mark

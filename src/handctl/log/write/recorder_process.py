@@ -57,9 +57,9 @@ has real-time priority, which is higher than the priority of the recorder.
 
 
 def send_note(note: dict[str, object]) -> None:
-    """Send a note to the controller.
+    """Send a note to the controller, as one line of JSON.
 
-    If the pipe for notes is full, the note is lost, because the recorder must never wait.
+    If the pipe to the controller is full, the note is lost, because the recorder must never wait.
     """
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")

@@ -64,8 +64,8 @@ def start_recorder_process() -> RecorderProcess:
 def prestarted_recorder_process() -> Iterator[None]:
     """Start a recorder process in advance.
 
-    The first recorder that is created in the `with` block uses the process. A process that no
-    recorder has used is ended at the end of the `with` block.
+    The first recorder that is created in the `with` block uses the prestarted process. If no
+    recorder has used the prestarted process, the end of the `with` block ends the process.
     """
     _started_ahead.append(start_recorder_process())
     try:

@@ -13,7 +13,7 @@ Kinds:
 
 The states ``bus_off``, ``error_passive`` and ``enodev`` are lasting states. Every call of
 ``take_events`` reports a lasting state again, until the state ends. A fault detector counts the
-ticks in which one of these states is reported.
+ticks in which a lasting state is reported.
 """
 
 import errno

@@ -31,8 +31,9 @@ def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
     A bus converts the reception time of each frame with a function. A run passes a function that
-    converts CLOCK_MONOTONIC to the time of the run. A program without a run uses CLOCK_MONOTONIC
-    itself, and passes no function. The bus then uses this identity function.
+    converts CLOCK_MONOTONIC to the time of the run. A program that opens a bus outside of a run
+    uses CLOCK_MONOTONIC times, and passes no conversion function. For such a program, the bus uses
+    ``_identity_conversion``.
     """
     return t_ns
 

@@ -1,4 +1,4 @@
-"""Conversion of batches of frames between records and ``struct canfd_frame``, by compiled loops.
+"""Compiled loops that convert batches of frames between records and ``struct canfd_frame``.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
@@ -37,7 +37,7 @@ MAX_PAYLOAD_BYTES = 64
 """Payload of the longest frame [bytes]."""
 MAX_CLASSICAL_PAYLOAD_BYTES = 8
 """Payload of the longest classical frame [bytes]."""
-PAYLOAD_WORDS = MAX_PAYLOAD_BYTES // 8
+WORDS_PER_PAYLOAD = MAX_PAYLOAD_BYTES // 8
 """Number of words of eight bytes in the payload of a struct, and of a record."""
 # Positions of the lowest bits of the struct's fields in the first word of the struct.
 STRUCT_LENGTH_SHIFT = 32
@@ -68,7 +68,7 @@ def _copy_payload(
         row: index of the frame.
         payload_length: length of the payload [bytes].
     """
-    for word in range(PAYLOAD_WORDS):
+    for word in range(WORDS_PER_PAYLOAD):
         remaining_length = payload_length - 8 * word
         value = source_words[row, source_word + word] if remaining_length > 0 else np.uint64(0)
         if 0 < remaining_length < 8:
@@ -94,12 +94,14 @@ def read_structs(
     bits_of_all_ids = np.uint64(0)
     bus_bits = np.uint64(bus) << np.uint64(BUS_SHIFT)
     for i in range(records.shape[0]):
-        head_word = structs[i, 0]
-        can_id = head_word & np.uint64(ID_MASK)
+        header_word = structs[i, 0]
+        can_id = header_word & np.uint64(ID_MASK)
         bits_of_all_ids |= can_id
-        length = int(np.int64((head_word >> np.uint64(STRUCT_LENGTH_SHIFT)) & np.uint64(BYTE_MASK)))
+        length = int(
+            np.int64((header_word >> np.uint64(STRUCT_LENGTH_SHIFT)) & np.uint64(BYTE_MASK))
+        )
         length = min(length, MAX_PAYLOAD_BYTES)
-        flags = (head_word >> np.uint64(STRUCT_FLAGS_SHIFT)) & np.uint64(flag_mask)
+        flags = (header_word >> np.uint64(STRUCT_FLAGS_SHIFT)) & np.uint64(flag_mask)
         flags |= np.uint64(added_flags)
         records[i, TIME_WORD] = np.int64(t_ns)
         records[i, ID_AND_FLAGS_WORD] = (
@@ -127,15 +129,15 @@ def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) 
     """
     count = len(records)
     for i in range(count):
-        head_word = records[i, ID_AND_FLAGS_WORD]
-        flags = (head_word >> np.uint64(FLAGS_SHIFT)) & np.uint64(FLAGS_MASK)
-        length = int(np.int64(head_word >> np.uint64(LENGTH_SHIFT)))
+        id_and_flags_word = records[i, ID_AND_FLAGS_WORD]
+        flags = (id_and_flags_word >> np.uint64(FLAGS_SHIFT)) & np.uint64(FLAGS_MASK)
+        length = int(np.int64(id_and_flags_word >> np.uint64(LENGTH_SHIFT)))
         if not flags & np.uint64(FDF):
             flags = np.uint64(0)
         if length > (MAX_PAYLOAD_BYTES if flags else MAX_CLASSICAL_PAYLOAD_BYTES):
             return i
         structs[i, 0] = (
-            head_word & np.uint64(ID_MASK)
+            id_and_flags_word & np.uint64(ID_MASK)
             | np.uint64(length) << np.uint64(STRUCT_LENGTH_SHIFT)
             | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_SHIFT)
         )

@@ -23,7 +23,10 @@ READINGS_PER_MEASUREMENT = 3
 
 
 class ClockOffset:
-    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``CONVERSIONS_PER_MEASUREMENT`` uses."""
+    """Offset between wall clock and CLOCK_MONOTONIC.
+
+    The offset is measured again after ``CONVERSIONS_PER_MEASUREMENT`` conversions of a time.
+    """
 
     def __init__(self) -> None:
         """Start without a measurement."""

@@ -58,12 +58,12 @@ TIME_STAMP_OFFSET = struct.calcsize("@Nii")
 
 The nanoseconds of the time stamp follow its seconds.
 """
-TIME_STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
+CONTROL_BYTES_WITH_TIME_STAMP = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
 
 Control messages with a loss counter but no time stamp are shorter.
 """
-COUNTER_CONTROL_BYTES = struct.calcsize("@NiillNiiI")
+CONTROL_BYTES_WITH_COUNTER = struct.calcsize("@NiillNiiI")
 """Shortest length of the control messages if they have a time stamp and a loss counter [bytes].
 
 The kernel also counts the padding after the counter, if it is within the buffer.
@@ -177,8 +177,8 @@ class DatagramSlots:
         if raw_bytes != self._last_headers:
             kinds = set(_HEADER_STRUCT.iter_unpack(raw_bytes))
             length, size = kinds.pop()
-            self._last_has_counters = length >= COUNTER_CONTROL_BYTES
-            has_time_stamp = self._last_has_counters or length == TIME_STAMP_CONTROL_BYTES
+            self._last_has_counters = length >= CONTROL_BYTES_WITH_COUNTER
+            has_time_stamp = self._last_has_counters or length == CONTROL_BYTES_WITH_TIME_STAMP
             self._last_size = size if has_time_stamp and not kinds else 0
             self._last_headers = raw_bytes
         if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
@@ -196,12 +196,14 @@ class DatagramSlots:
             sizes, control, strict=True
         ):
             is_timestamp = (
-                length >= TIME_STAMP_CONTROL_BYTES
+                length >= CONTROL_BYTES_WITH_TIME_STAMP
                 and kind == SO_TIMESTAMPNS
                 and level == _SOL_SOCKET
             )
             is_drop_counter = (
-                length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+                length >= CONTROL_BYTES_WITH_COUNTER
+                and kind2 == SO_RXQ_OVFL
+                and level2 == _SOL_SOCKET
             )
             result.append(
                 (

@@ -122,10 +122,10 @@ class SocketCanBus:
     def _convert_datagrams(self, count: int) -> Frames:
         """Convert the received datagrams to frames.
 
-        Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
-        and no frame was lost before them. If the received datagrams have these properties, the
-        function converts all of them at once. Otherwise, the function converts each datagram
-        separately.
+        Usually all datagrams are of the same kind (classical or CAN FD) and have similar time
+        stamps, and no frame was lost before them. If the received datagrams have these properties,
+        the function converts all datagrams at once. Without these properties, the function converts
+        each datagram separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (

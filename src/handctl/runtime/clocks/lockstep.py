@@ -53,12 +53,12 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
     ).records
 
 
-def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
+def load_simulator_object(entry: str, requester: str) -> Callable[..., Any]:
     """Import a class or a function of a simulator by its name ``module:name``, and return the object.
 
     Args:
         entry: name of the class or function, ``module:name``.
-        user: command or function that needs the class or function, for the error message.
+        requester: command or function that needs the class or function, for the error message.
 
     Raises:
         ConfigError: the class or function does not exist, or its optional package is not installed.
@@ -67,7 +67,9 @@ def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
     try:
         simulator_object: Callable[..., Any] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
-        missing_package = missing_extra(user, error) if isinstance(error, ImportError) else None
+        missing_package = (
+            missing_extra(requester, error) if isinstance(error, ImportError) else None
+        )
         raise missing_package or ConfigError(
             f"cannot load the lockstep peer: {error}", entry, "module:Class"
         ) from None

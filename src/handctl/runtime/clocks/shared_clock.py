@@ -169,7 +169,7 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """Set the clock back to its gate by an additional pause, if the clock has passed the gate.
+        """Set a clock that has passed its gate back to the gate, by adding to the sum of the pauses.
 
         For the simulator, time does not jump back, because the simulator has never used a time
         after the gate.

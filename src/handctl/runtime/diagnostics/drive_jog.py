@@ -170,7 +170,7 @@ class _JogExecution:
         return ""
 
     def execute_motion(self) -> str:
-        """Move the shaft as the goal of the jog demands, until the duration in the goal is over.
+        """Command the position, velocity or torque of the jog, until the duration of the jog is over.
 
         Return the reason why the motion stopped early, or an empty text.
         """

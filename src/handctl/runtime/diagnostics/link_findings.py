@@ -53,7 +53,7 @@ class LinkFinding(NamedTuple):
 
 
 def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
-    """Return the finding for an interface that does not exist."""
+    """Return a finding which reports that an interface does not exist."""
     if name.startswith("vcan"):
         return LinkFinding(
             f"{name} does not exist",

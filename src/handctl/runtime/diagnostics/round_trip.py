@@ -84,17 +84,19 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
     bus.drain()  # a late answer to the previous request must not count as an answer to the new request
     start_s = time.perf_counter()
     bus.send((discovery.ping(node),))
-    first_answer_s = None
+    first_answer_delay_s = None
     answer_count = 0
     while (elapsed_s := time.perf_counter() - start_s) < (
-        ANSWER_TIMEOUT_S if first_answer_s is None else first_answer_s + DUPLICATE_ANSWER_WAIT_S
+        ANSWER_TIMEOUT_S
+        if first_answer_delay_s is None
+        else first_answer_delay_s + DUPLICATE_ANSWER_WAIT_S
     ):
         answer_count += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
-        if answer_count and first_answer_s is None:
-            first_answer_s = time.perf_counter() - start_s
+        if answer_count and first_answer_delay_s is None:
+            first_answer_delay_s = time.perf_counter() - start_s
         if answer_count > 1:
             break
         time.sleep(
             0.0001 if elapsed_s < 0.01 else 0.002
         )  # the first pauses are short for accuracy, and later pauses are longer to save processor time
-    return first_answer_s, answer_count > 1
+    return first_answer_delay_s, answer_count > 1

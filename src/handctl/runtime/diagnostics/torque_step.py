@@ -3,9 +3,9 @@
 The shaft of a drive is turned a little and brought to rest, with torques below a limit.
 
 The test also measures the inertia of the shaft. A shaft without a load accelerates fast, because
-its inertia can be as small as 1e-4 kg m2. The measured velocity of the shaft is about 30 ms old.
-With a fixed gain of the brake, a shaft of low inertia would oscillate. Therefore the gain of the
-brake depends on the inertia.
+its inertia can be as small as 1e-4 kg m2. The measured velocity of the shaft is about 30 ms old. If
+the gain of the braking torque were fixed, a shaft of low inertia would oscillate. Therefore the
+gain of the braking torque depends on the inertia.
 """
 
 import math
