@@ -45,7 +45,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     """
     hand, law, seed = job
     gains = GRAVITY_LAW_BY_NAME[law].gains(
-        *tracking.tuned_weights(hand, TUNED_LAW_BY_NAME[law], with_margins=True),
+        *tracking.tuned_weights(hand, TUNED_LAW_BY_NAME[law], must_keep_margins=True),
         RATES_HZ[hand],
     )
     trial = LockstepTrial(

@@ -1,9 +1,11 @@
 """Hands of the benchmarks: the packaged hands, and variants with more distance between the digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
-variants have more distance between the digits. In the scene of the trials with a variant, the
-digits can pass through the palm. All other properties of a variant are those of the packaged hand.
+finger touches the thumb. In benchmarks of free motion, the digits must not touch anything.
+Therefore the variants of a packaged hand have more distance between the digits. Variants are tested
+in the scene ``no_palm``, in which the digits can pass through the palm. In the variants that lie on
+their side, gravity has another direction, and the last links are heavier. All other properties of a
+variant are those of the packaged hand.
 """
 
 from functools import cache

@@ -41,10 +41,10 @@ def reference_sigma(
 ) -> tuple[float, float]:
     """Return the standard deviation of the tension of a tendon at two times [N].
 
-    The first standard deviation is for the time of the last load-cell reading, and the second for
-    the present. The controller estimates the present tension, one control period after the
-    load-cell reading. The benchmark compares the error of the controller's estimate with both
-    standard deviations.
+    The first result is the standard deviation of the tension at the time of the last load-cell
+    reading. The second result is the standard deviation of the present tension. The controller
+    estimates the present tension, one control period after the load-cell reading. The benchmark
+    compares the error of the controller's estimate with both standard deviations.
 
     Args:
         model: hand and control rate.

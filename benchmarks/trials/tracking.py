@@ -230,12 +230,14 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
-def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
+def tuned_weights(
+    hand_name: str, law_name: str, must_keep_margins: bool = False
+) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
-    pair of weights can be considered, return the first pair of ``WEIGHT_CANDIDATES``, or the last
-    pair if ``with_margins`` is True.
+    If ``must_keep_margins`` is True, only weights that keep the stability margins are considered.
+    If no pair of weights can be considered, the result is a pair of ``WEIGHT_CANDIDATES``: the last
+    pair if ``must_keep_margins`` is True, and the first pair otherwise.
     """
     tuning_result = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = tuning_result["rmse_deg"][hand_name][law_name]
@@ -243,13 +245,13 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     usable_weights = [
         i
         for i, error in enumerate(errors)
-        if error is not None and (keeps_margins[i] or not with_margins)
+        if error is not None and (keeps_margins[i] or not must_keep_margins)
     ]
     return WEIGHT_CANDIDATES[
         min(
             usable_weights,
             key=errors.__getitem__,
-            default=len(WEIGHT_CANDIDATES) - 1 if with_margins else 0,
+            default=len(WEIGHT_CANDIDATES) - 1 if must_keep_margins else 0,
         )
     ]
 
@@ -344,7 +346,7 @@ def print_results(result: dict) -> None:
     print(
         "tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]"
     )
-    shown_rows = [
+    rows_without_margins = [
         (hand, *plant_and_value)
         for hand, plants in result["tracking"]["hands"].items()
         for plant_and_value in plants.items()
@@ -355,7 +357,7 @@ def print_results(result: dict) -> None:
         for plant_and_value in plants.items()
     ]
     for weights, rows in (
-        ("best weights", shown_rows),
+        ("best weights", rows_without_margins),
         ("weights that keep their margins", rows_with_margins),
     ):
         for hand, plant, laws in rows:

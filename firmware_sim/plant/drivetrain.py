@@ -1,8 +1,8 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. A row and an object have attributes of the same names, so the code of
-a kernel can use both.
+rotors are objects in a list. A row of an array and an object have attributes of the same names, so
+each kernel works with rows and with objects.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
@@ -98,7 +98,7 @@ def _elastic_tension(tendon: Any, stretch: float) -> float:
 
 
 @kernel_helper
-def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) -> float:
+def _friction_per_speed(tendon: Any, tension_loss: float, tension_times_angle: float) -> float:
     """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
     The kernel uses the quotient of force and speed (the secant of the friction curve) instead of
@@ -108,13 +108,13 @@ def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) 
     Args:
         tendon: the tendon, with its present speed.
         tension_loss: loss of tension that friction causes [N].
-        tension_angle: tension of the tendon times its wrap angle [N rad].
+        tension_times_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
     # When the tendon is almost at rest, the quotient of force and speed would be 0/0. The kernel
     # then returns the limit of the quotient.
     if speed < 1e-3 * CAPSTAN_SPEED:
-        return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
+        return float(tension_times_angle * tendon.friction / CAPSTAN_SPEED)
     return float(tension_loss / speed)
 
 

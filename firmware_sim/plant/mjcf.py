@@ -31,12 +31,12 @@ PALM_COLLISION_BIT = 8
 """Collision category of the palm."""
 TABLE_COLLISION_BIT = 16
 """Collision category of the table."""
-PALM_DEPTH = 0.02
+PALM_DEPTH_M = 0.02
 """Depth of the palm box [m].
 
 The front face of the palm is at the digit mount with the smallest x, usually at x = 0.
 """
-PALM_MARGIN = 0.01
+PALM_MARGIN_M = 0.01
 """Distance by which the palm extends beyond the outermost digit mounts [m]."""
 SAMPLES_PER_LINK = 9
 """Number of points along a link for the check of overlap with the palm."""
@@ -133,8 +133,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return one flag for each digit: True if the digit closes in the opposite direction to the first finger.
 
-    The first finger is the first digit that can close. For example, if the thumb closes against the
-    first finger, the flag of the thumb is True.
+    The first finger is the first digit that can close. For example, the flag is True for a thumb
+    that closes against the first finger.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -204,10 +204,10 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     mounts = np.array([digit.position for digit in hand.digits_on_carrier(carrier)])
     low = mounts.min(axis=0)
     high = mounts.max(axis=0)
-    side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN
+    side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN_M
     centre = (low + high) / 2.0
-    centre[0] = low[0] - PALM_DEPTH / 2.0
-    return centre, np.array([PALM_DEPTH / 2.0, side, side])
+    centre[0] = low[0] - PALM_DEPTH_M / 2.0
+    return centre, np.array([PALM_DEPTH_M / 2.0, side, side])
 
 
 def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
@@ -259,9 +259,9 @@ def _palm_element(
     return f"{box}{mesh}\n{digits}\n"
 
 
-def _last_link_number(hand: Hand, name: str) -> int:
+def _last_link_number(hand: Hand, digit_name: str) -> int:
     """Return the number of the last link of a digit, counted from 1."""
-    return next(len(digit.length) for digit in hand.digits if digit.name == name)
+    return next(len(digit.length) for digit in hand.digits if digit.name == digit_name)
 
 
 def _group_attribute(has_mesh: bool) -> str:
@@ -507,8 +507,8 @@ def _table_element(
     """Build the table under the object. If the scene has no support, the returned text is empty.
 
     The first plate of the table is perpendicular to the axis of the palm frame along which gravity
-    is largest. If gravity is not parallel to an axis, further plates keep the object from sliding
-    and from tipping over.
+    is largest. If gravity is not parallel to this axis, the table has further plates, which keep
+    the object from sliding and from tipping over.
     """
     if support is None:
         return ""
@@ -586,8 +586,8 @@ def sink_direction(gravity: Sequence[float]) -> tuple[float, float, float]:
 def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
     """Return the axes of the palm frame along which a plate supports the object.
 
-    Each axis has the sign of gravity along this axis. The first axis is the axis along which
-    gravity is largest.
+    Each item of the result is the index of an axis, and the sign of gravity's component along this
+    axis. The first item is the axis along which gravity is largest.
     """
     direction = sink_direction(gravity)
     axes = sorted(range(3), key=lambda i: -abs(direction[i]))

@@ -113,8 +113,8 @@ def _without_tags(
 ) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the models of a union.
 
-    Each part of the returned location is a key or an index in the content of the file, with one
-    exception. If the error is a missing key, the last part of the location is the missing key.
+    Each part of the returned location is a key or an index that the content of the file contains.
+    If the error is a missing key, the last part of the location is the missing key.
     """
     path: list[str | int] = []
     for position, key_or_index in enumerate(key_location):
@@ -164,7 +164,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
             return _allowed_keys(fields[str(first_key)].annotation, remaining_keys)
         return (
             _allowed_keys(type_annotation, remaining_keys)
-            if _is_alternative(type_annotation, first_key)
+            if _is_name_of_union_model(type_annotation, first_key)
             else set()
         )
     arguments = get_args(type_annotation)
@@ -179,7 +179,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
     )
 
 
-def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
+def _is_name_of_union_model(model: type[BaseModel], name: str | int) -> bool:
     """Return True if pydantic uses the given name in error locations for a model of a union.
 
     In an error location, pydantic names a model of a union by the tag or by the class name of the

@@ -1,7 +1,7 @@
 """Output of text in a form that is safe for a terminal.
 
-Text from files, logs and arguments must not control the terminal or fill the screen. Characters
-that are not printable are therefore written as escape sequences, as in Python source. Examples of
+Text from files, logs and arguments must not control the terminal or fill the screen. Therefore
+handctl writes unprintable characters as escape sequences, as in Python source. Examples of
 unprintable characters are control characters, terminal escapes, marks that change the direction of
 text, and lone surrogates.
 """

@@ -534,7 +534,7 @@ def _take_up_slack(
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the position feedback would pay out a slack tendon.
 
-    For motions along streamed angles, the result is False. No measurement corrects the estimated
+    If the digit follows streamed angles, the result is False. No measurement corrects the estimated
     excursion of a slack tendon. If the estimated excursion is too large, the position feedback
     would pay out more and more of the tendon. In a digit with more tendons than coordinates, the
     excursion of a slack tendon follows from the other tendons.

@@ -40,8 +40,8 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
     For each failure and each drive protocol, the table states how well handctl can see the failure.
-    With some protocols, handctl detects the failure itself. With others, handctl sees only a weaker
-    sign of the failure (``replaced``), or nothing (``lost``).
+    With some protocols, handctl detects the failure directly. With other protocols, handctl detects
+    only a weaker sign of the failure (``replaced``), or cannot detect the failure (``lost``).
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]

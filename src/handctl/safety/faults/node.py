@@ -76,17 +76,17 @@ HALF_RATE_LOSS_COUNT = 7
 A slow node replies at half the control rate. Two replies in a row are missing when the time between
 the start of a tick and the reply drifts past a control period.
 """
-PULL_AFTER_CUT_TIME_S = 0.1
-PULL_AFTER_CUT_FRACTION = 0.5
-PULL_AFTER_CUT_N = 10.0
-REPORTED_PULL_AFTER_CUT_N = 1.0
-"""Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
+TENSION_AFTER_CUT_TIME_S = 0.1
+TENSION_AFTER_CUT_FRACTION = 0.5
+TENSION_AFTER_CUT_N = 10.0
+REPORTED_FORCE_AFTER_CUT_N = 1.0
+"""Thresholds for a tendon that is still taut after a cut: time [s], fraction of the tension at the cut, tension [N].
 
 The last threshold is for the motor force that the drive reports. The resolution of the reported
 force is added to this threshold. A drive without torque reports less than 0.1 N in simulation, and
 the reading of a load cell drifts by newtons.
 
-``PULL_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
+``TENSION_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
 third of their tension if the motor is off, and at least 0.74 of their tension if the motor still
 pulls.
 """
@@ -320,7 +320,7 @@ declare_catalogue_row("N16", "node refuses to release", ticks=2, ms=100, require
     why="in the required time of 21 ticks of 5 ms the springs open the finger")  # fmt: skip
 N16_PULL_AFTER_CUT = declare_fault(
     "N16", "a drive does not release",
-    f"The tension or the reported torque does not fall within {PULL_AFTER_CUT_TIME_S * 1e3:g} ms after the torque "
+    f"The tension or the reported torque does not fall within {TENSION_AFTER_CUT_TIME_S * 1e3:g} ms after the torque "
     "was cut",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     shows_torque_after_cut=True,
