@@ -21,7 +21,7 @@ MOTOR_NOISE_N_M = 10e-3
 MOTOR_CORRELATION_TIME_S = 0.05
 JOINT_NOISE_N_M = 5e-3
 JOINT_CORRELATION_TIME_S = 0.02
-STRETCH_OFFSET_M = 0.2e-3
+STRETCH_OFFSET_SIGMA_M = 0.2e-3
 OFFSET_CORRELATION_TIME_S = 60.0
 CONTACT_STIFFNESS_N_M_PER_RAD = 40.0
 """Stiffness with which a held object resists the motion of each joint of a digit [N m/rad].
@@ -80,7 +80,7 @@ def reference_sigma(
     sigma = (
         MOTOR_NOISE_N_M / tendon_constants.spool_radius[tendon_index],
         JOINT_NOISE_N_M / arm,
-        STRETCH_OFFSET_M,
+        STRETCH_OFFSET_SIGMA_M,
     )
     noise = [0.0] * 4 + [
         2.0 * s**2 / t

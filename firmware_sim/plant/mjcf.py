@@ -148,16 +148,16 @@ def _closing_direction(hand: Hand, digit: Digit) -> Any:
 
     The closing direction is the y axis of the last link with all joints at zero.
     """
-    direction = rest_poses(digit)[-1][1][:, 1]
+    direction = link_poses_at_zero(digit)[-1][1][:, 1]
     while digit.carrier:
         digit = next(
             carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
         )
-        direction = rest_poses(digit)[-1][1] @ direction
+        direction = link_poses_at_zero(digit)[-1][1] @ direction
     return direction
 
 
-def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
+def link_poses_at_zero(digit: Digit) -> list[tuple[Any, Any]]:
     """Compute the pose of each link of a digit with all joints at zero.
 
     Returns:
@@ -285,7 +285,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     ]
     fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
     overlaps = []
-    for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
+    for length, (position, rotation) in zip(digit.length, link_poses_at_zero(digit), strict=True):
         points = position + fractions * (length * rotation[:, 0])
         distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
         is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())

@@ -303,7 +303,7 @@ class Plant:
     def _run_steps(self, count: int) -> None:
         """Run a number of time steps of the plant.
 
-        If no motor has a fault, a single call of a compiled kernel runs all ``count`` steps.
+        If no motor has a fault, a single call of a compiled kernel runs all ``count`` time steps.
         """
         if self.step_progress_ns:
             # The code first completes the rest of a divided time step, so that later steps start at

@@ -50,7 +50,9 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
     return validate_content(read_toml(path), model, str(path))
 
 
-def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
+def validate_content(
+    content: Mapping[str, Any], model: type[DocumentT], source_name: str
+) -> DocumentT:
     """Validate content that was parsed from TOML.
 
     The function converts the content to JSON, and lets pydantic validate the JSON text in strict
@@ -62,11 +64,14 @@ def validate_content(content: Mapping[str, Any], model: type[DocumentT], source:
     try:
         return model.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        raise _error_line(error, model, content, source) from None
+        raise _error_line(error, model, content, source_name) from None
 
 
 def _error_line(
-    error: ValidationError, model: type[BaseModel], file_content: Mapping[str, Any], source: str
+    error: ValidationError,
+    model: type[BaseModel],
+    file_content: Mapping[str, Any],
+    source_name: str,
 ) -> ConfigError:
     """Return the most specific of the errors that pydantic has found in a document.
 
@@ -81,7 +86,9 @@ def _error_line(
     )
     error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest_error)
     location = _without_tags(file_content, error_detail["loc"], error_detail["type"])
-    location_text = f"{source}: {key_path(file_content, location)}" if location else source
+    location_text = (
+        f"{source_name}: {key_path(file_content, location)}" if location else source_name
+    )
     if error_detail["type"] == "extra_forbidden":
         return ConfigError(
             "unknown key",

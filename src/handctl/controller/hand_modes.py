@@ -48,7 +48,7 @@ DISARM_TIMEOUT_S = 1.0
 TORQUE_CUT_DURATION_S = TENSION_AFTER_CUT_TIME_S
 """Time for which the frames that cut the torque are repeated [s]."""
 RELEASE_DETECTION_TICKS = 2
-"""Ticks after ``TENSION_AFTER_CUT_TIME_S`` in which the detector of remaining tension (N16) can still report a fault."""
+"""Ticks after ``TENSION_AFTER_CUT_TIME_S`` in which the detector of remaining tension (N16) can report a fault."""
 
 
 @dataclass(frozen=True, slots=True)
