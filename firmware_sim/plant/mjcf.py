@@ -15,7 +15,7 @@ from firmware_sim.scene.scene import GraspObject, Scene, SinkingTable
 
 STEP_S = 0.5e-3
 """Time step of the plant [s]. Source: MODEL, section 6: 15 of 15 grasps hold at 0.5 ms with armature 1e-6 kg m2."""
-HAND_FRICTION = 0.5
+HAND_FRICTION_COEFFICIENT = 0.5
 """Sliding friction coefficient of links and palm in scenes without an object."""
 
 OBJECT_COLLISION_BIT = 1
@@ -98,7 +98,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
             contacts. The plant uses a model without meshes.
     """
     mesh_by_link = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
-    friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
+    friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION_COEFFICIENT
     options = _OPTIONS.format(
         gravity=_numbers_text(hand.gravity),
         friction=friction,

@@ -160,12 +160,12 @@ def _use_kernel_cache(folder: Path | None) -> Iterator[None]:
 
     The context has no effect on other packages that use numba.
     """
-    cache_folder_before = numba_config.CACHE_DIR
+    original_cache_folder = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(folder or "")
     try:
         yield
     finally:
-        numba_config.CACHE_DIR = cache_folder_before
+        numba_config.CACHE_DIR = original_cache_folder
 
 
 def _cache_folder() -> Path | None:

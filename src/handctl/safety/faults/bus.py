@@ -14,7 +14,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
-from handctl.safety.safety_limits import LOAD_CELLS, MAX_SILENCE_S, MIN_SILENT_TICKS
+from handctl.safety.safety_limits import LOAD_CELL_NODE_NAME, MAX_SILENCE_S, MIN_SILENT_TICKS
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20
@@ -102,7 +102,7 @@ declare_catalogue_row(
 )
 B04_DELAYED_FRAME = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
-    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELL_NODE_NAME,
     cause="The sensor node or a gateway on the bus holds frames back.",
     remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
@@ -140,7 +140,7 @@ declare_catalogue_row(
 )
 B07_WRONG_FRAME_ORDER = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
-    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELL_NODE_NAME,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip

@@ -45,7 +45,7 @@ CHECKED_BY_FAULT_TABLE = "fault table"
 CHECKED_BEFORE_ARMING = "before arming"
 CHECKED_BY_DRIVE = "the drive itself"
 CHECKED_BY_CONTROL_LOOP = "loop and recorder"
-CHECKED_IN_FILES = "files"
+CHECKED_BY_FILE_READERS = "files"
 """Parts of handctl that check a row of the catalogue."""
 
 

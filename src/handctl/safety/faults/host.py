@@ -4,7 +4,7 @@ from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_CONTROL_LOOP,
     CHECKED_BY_DRIVE,
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     CLEARED_BY_ITSELF,
     CLEARED_BY_OPERATOR,
     FAULT_PLACE_HAND,
@@ -137,29 +137,32 @@ declare_catalogue_row(
 declare_catalogue_row(
     "I01",
     "NaN, inf, bool for number",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
     "I02",
     "negative mass, zero length",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
-    "I03", "wrong unit", CHECKED_IN_FILES, tested_by="tests/hand/test_hand_file_refusals.py"
+    "I03", "wrong unit", CHECKED_BY_FILE_READERS, tested_by="tests/hand/test_hand_file_refusals.py"
 )
 declare_catalogue_row(
     "I04",
     "unknown, missing, duplicate keys",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
-    "I05", "contradiction", CHECKED_IN_FILES, tested_by="tests/hand/test_cross_checks.py"
+    "I05", "contradiction", CHECKED_BY_FILE_READERS, tested_by="tests/hand/test_cross_checks.py"
 )
 declare_catalogue_row(
-    "I06", "bad trajectory", CHECKED_IN_FILES, tested_by="tests/controller/test_task_files.py"
+    "I06",
+    "bad trajectory",
+    CHECKED_BY_FILE_READERS,
+    tested_by="tests/controller/test_task_files.py",
 )
 
 declare_catalogue_row("I07", "bad live goal", ticks=1, required_ticks=2)
@@ -178,13 +181,18 @@ I07B_MALFORMED_REQUESTS = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row(
-    "I08", "truncated or corrupt log", CHECKED_IN_FILES, tested_by="tests/log/test_recover.py"
+    "I08",
+    "truncated or corrupt log",
+    CHECKED_BY_FILE_READERS,
+    tested_by="tests/log/test_recover.py",
 )
-declare_catalogue_row("I09", "hostile log", CHECKED_IN_FILES, tested_by="tests/log/test_reader.py")
+declare_catalogue_row(
+    "I09", "hostile log", CHECKED_BY_FILE_READERS, tested_by="tests/log/test_reader.py"
+)
 declare_catalogue_row(
     "I10",
     "log of another hand or version",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/replay/test_execute.py",
 )
 

@@ -21,25 +21,26 @@ SLACK_TENSION_N = 2.0
 """Filtered tension above which a tendon counts as taut, and below which it counts as slack [N]."""
 SNAP_TENSION_FRACTION = 0.2
 SNAP_MIN_COMMAND_N = 8.0
-SNAP_SPOOL_SPEED = 0.03
+SNAP_SPOOL_SPEED_M_PER_S = 0.03
 SNAP_SPOOL_SPEED_WITHOUT_CELL = 0.06
 TAUT_BEFORE_SNAP_TIME_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speeds [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
-``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. A
-tendon counts as snapped only if it was taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. Therefore
-a slack tendon does not count as snapped while the spool takes up the slack. The second spool speed
-is for tendons without load cell. Of 60 random streams to ``orca_like``, 6 ended with a false T01 at
-0.03 m/s, and none at 0.06 m/s. With joint encoders, the fault T08 reports a torn tendon without
-load cell sooner.
+``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than
+``SNAP_SPOOL_SPEED_M_PER_S``. A tendon counts as snapped only if it was taut within the last
+``TAUT_BEFORE_SNAP_TIME_S``. Therefore a slack tendon does not count as snapped while the spool
+takes up the slack. The second spool speed is for tendons without load cell. Of 60 random streams to
+``orca_like``, 6 ended with a false T01 at 0.03 m/s, and none at 0.06 m/s. With joint encoders, the
+fault T08 reports a torn tendon without load cell sooner.
 """
 FREE_SPOOL_SPEED_FRACTION = 0.6
 MIN_SNAP_SPOOL_SPEED = 0.01
 """Lower speed threshold of a tension loop: fraction of the speed of a free spool, and smallest threshold [m/s].
 
 The tension loop damps its spool, so the speed of a torn tendon's spool approaches a final speed.
-The final speed is proportional to the commanded tension, and can be below ``SNAP_SPOOL_SPEED``.
+The final speed is proportional to the commanded tension, and can be below
+``SNAP_SPOOL_SPEED_M_PER_S``.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
