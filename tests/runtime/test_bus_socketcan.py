@@ -128,8 +128,8 @@ def test_stamps_never_run_backwards_or_ahead(
 ) -> None:
     """In this test, the wall clock is set while frames wait in the socket.
 
-    The time stamps of the waiting frames must nevertheless be in order, and must not be in the
-    future.
+    The change of the wall clock must neither disturb the order of the frames' time stamps, nor put
+    a time stamp into the future.
     """
     bus, peer_socket = udp_bus
     real_time_ns = time.time_ns

@@ -77,7 +77,7 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
 
 
 def verdict_of_ambiguous_statement(are_readings_true: Sequence[bool]) -> ErrataVerdict:
-    """Return the verdict on a statement of the paper with several possible meanings.
+    """Return the verdict on a printed statement that has several possible meanings.
 
     If the statement is true with one meaning and false with another, the verdict is undecidable.
     """
