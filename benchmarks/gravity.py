@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 from trials import control_page, tracking
-from trials.benchmark_hands import FINGERTIP_LOAD, FREE_MOTION_SCENE, SIDEWAYS_HAND_SUFFIX
+from trials.benchmark_hands import FINGERTIP_MASS_FACTOR, FREE_MOTION_SCENE, SIDEWAYS_HAND_SUFFIX
 from trials.control_laws import GRAVITY_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
@@ -45,7 +45,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     """
     hand, law, seed = job
     gains = GRAVITY_LAW_BY_NAME[law].gains(
-        *tracking.tuned_weights(hand, TUNED_LAW_BY_NAME[law], with_margins=True),
+        *tracking.tuned_weights(hand, TUNED_LAW_BY_NAME[law], must_keep_margins=True),
         RATES_HZ[hand],
     )
     trial = LockstepTrial(
@@ -134,7 +134,7 @@ def page_section(result: dict) -> str:
 `python benchmarks/gravity.py --seeds {seeds} --page` writes this section. The packaged hands stand upright: their
 hinges are vertical, and gravity has no torque about them. The row "+ gravity and springs" of the tracking table
 therefore shows the benefit of the springs only. In this section the hands lie on their side, and their fingertips are
-{FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the fingers closed and the thumb open.
+{FINGERTIP_MASS_FACTOR:g} times as heavy (21 g on a finger). Gravity pulls the fingers closed and the thumb open.
 
 Each pair of rows compares two control laws that differ in gravity compensation only. The feedback weights are those of
 the table "weights that keep their margins" in the section on tracking, and the control laws have no force loop. The

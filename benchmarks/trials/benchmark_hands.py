@@ -1,9 +1,11 @@
 """Hands of the benchmarks: the packaged hands, and variants with more distance between the digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
-variants have more distance between the digits. In the scene of the trials with a variant, the
-digits can pass through the palm. All other properties of a variant are those of the packaged hand.
+finger touches the thumb. In benchmarks of free motion, the digits must not touch anything.
+Therefore the variants of a packaged hand have more distance between the digits. Variants are tested
+in the scene ``no_palm``, in which the digits can pass through the palm. In the variants that lie on
+their side, gravity has another direction, and the last links are heavier. All other properties of a
+variant are those of the packaged hand.
 """
 
 from functools import cache
@@ -32,12 +34,12 @@ SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
 The direction of gravity is from the fingers to the thumb. On a hand that lies on its side, gravity
 closes the fingers and opens the thumb.
 """
-FINGERTIP_LOAD = 10.0
+FINGERTIP_MASS_FACTOR = 10.0
 """Factor that multiplies mass and inertia of the last links, for a hand that lies on its side.
 
 With this factor, a fingertip weighs 21 g.
 """
-DIGIT_DISTANCE_M = 0.1
+ADDED_DIGIT_DISTANCE_M = 0.1
 """Additional distance between neighbouring digits of the variants [m]."""
 
 
@@ -49,10 +51,10 @@ def hand_by_name(hand_name: str) -> Hand:
     content = hand_content(packaged_hand_name(hand_name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
-        digit["mount_position_m"] = [x, y, z + i * DIGIT_DISTANCE_M]
+        digit["mount_position_m"] = [x, y, z + i * ADDED_DIGIT_DISTANCE_M]
         if hand_name.endswith(SIDEWAYS_HAND_SUFFIX):
             for key in ("link_mass_kg", "link_inertia_kg_m2"):
-                digit[key][-1] *= FINGERTIP_LOAD
+                digit[key][-1] *= FINGERTIP_MASS_FACTOR
     if hand_name.endswith(SIDEWAYS_HAND_SUFFIX):
         content["mount"]["gravity_m_s2"] = SIDE_GRAVITY_M_S2
     return hand_from_content(content, hand_name)

@@ -130,7 +130,7 @@ class RawTensionController(Controller):
 
 
 def controller_on_raw_tension(controller: Controller) -> Controller:
-    """Return a copy of a controller. The control law of the copy uses the raw load cell."""
+    """Return a copy of a controller that uses load-cell readings instead of the estimated tensions."""
     return RawTensionController(
         **{
             controller_field.name: getattr(controller, controller_field.name)
@@ -182,10 +182,10 @@ class AblationLaw:
 def _replace_control_law(
     controller: Controller, inverse_dynamics: InverseDynamics, with_raw_tension: bool
 ) -> Controller:
-    other_controller = replace(
+    changed_controller = replace(
         controller, model=replace(controller.model, inverse_dynamics=inverse_dynamics)
     )
-    return controller_on_raw_tension(other_controller) if with_raw_tension else other_controller
+    return controller_on_raw_tension(changed_controller) if with_raw_tension else changed_controller
 
 
 NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP_GAINS}

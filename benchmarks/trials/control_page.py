@@ -1,4 +1,4 @@
-"""Write the page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
+"""Write the page ``docs/evidence/control.md``. Each benchmark writes one part of ``control.md``."""
 
 from pathlib import Path
 
@@ -19,10 +19,7 @@ PAGE_PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps"
 
 
 def write_page_part(part_name: str, part_text: str) -> None:
-    """Replace one part of the page by a Markdown text.
-
-    All other parts of the page stay unchanged.
-    """
+    """Replace one part of ``docs/evidence/control.md`` by a Markdown text, and keep all other parts."""
     text_by_part = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
     text_by_part[part_name] = part_text.strip()
     ordered_parts = sorted(
@@ -38,7 +35,7 @@ def write_page_part(part_name: str, part_text: str) -> None:
 
 
 def _page_parts(page_text: str) -> dict[str, str]:
-    """Split the page into its parts, and return a dictionary from name to part."""
+    """Split the text of the page into its parts, and return the text of each part by its name."""
     text_by_part = {}
     for block in page_text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")

@@ -123,8 +123,8 @@ def _conclusion_text(result: dict) -> str:
             row = plants["as known"][regime]
             ratio = row["filtered / limit"]
             nis = row["nis"]
-            is_good = ratio <= MAX_ERROR_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
-            (passing_cases if is_good else failing_cases).append(
+            is_within_limits = ratio <= MAX_ERROR_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
+            (passing_cases if is_within_limits else failing_cases).append(
                 f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
             )
             prediction_ratios.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")

@@ -4,8 +4,8 @@ The three cases are: no force loop, a force loop with the raw load cell, and a f
 estimated tension.
 
 The digits close on a cylinder and hold the cylinder with 15 N per tendon. The commanded tension
-steps to 40 N (at 5000 N/s) and back to 15 N. The results are computed from the true tension at the
-load cells, for every tendon of a digit in contact.
+steps to 40 N (at 5000 N/s) and back to 15 N. For every tendon of a digit in contact, the results
+are computed from the true tension at the load cell.
 """
 
 from dataclasses import dataclass, field

@@ -21,7 +21,7 @@ MOTOR_NOISE_N_M = 10e-3
 MOTOR_CORRELATION_TIME_S = 0.05
 JOINT_NOISE_N_M = 5e-3
 JOINT_CORRELATION_TIME_S = 0.02
-STRETCH_OFFSET_M = 0.2e-3
+STRETCH_OFFSET_SIGMA_M = 0.2e-3
 OFFSET_CORRELATION_TIME_S = 60.0
 CONTACT_STIFFNESS_N_M_PER_RAD = 40.0
 """Stiffness with which a held object resists the motion of each joint of a digit [N m/rad].
@@ -41,10 +41,10 @@ def reference_sigma(
 ) -> tuple[float, float]:
     """Return the standard deviation of the tension of a tendon at two times [N].
 
-    The first standard deviation is for the time of the last load-cell reading, and the second for
-    the present. The controller estimates the present tension, one control period after the
-    load-cell reading. The benchmark compares the error of the controller's estimate with both
-    standard deviations.
+    The first result is the standard deviation of the tension at the time of the last load-cell
+    reading. The second result is the standard deviation of the present tension. The controller
+    estimates the present tension, one control period after the load-cell reading. The benchmark
+    compares the error of the controller's estimate with both standard deviations.
 
     Args:
         model: hand and control rate.
@@ -80,7 +80,7 @@ def reference_sigma(
     sigma = (
         MOTOR_NOISE_N_M / tendon_constants.spool_radius[tendon_index],
         JOINT_NOISE_N_M / arm,
-        STRETCH_OFFSET_M,
+        STRETCH_OFFSET_SIGMA_M,
     )
     noise = [0.0] * 4 + [
         2.0 * s**2 / t

@@ -54,7 +54,7 @@ class ScriptProgram:
         measurements: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
-        """Advance to the step that belongs to the present time, see ``Program``."""
+        """Advance the script to the step that belongs to the present time, see ``Program.advance``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):

@@ -76,9 +76,9 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
     direction = np.where(np.abs(speed) > MIN_TURNING_SPEED_RAD_S, np.sign(speed), 0.0)
     has_reversed = np.zeros(direction.shape, dtype=bool)
     for i in range(direction.shape[1]):
-        turning_ticks = np.flatnonzero(direction[:, i])
-        has_reversed[turning_ticks[1:], i] = (
-            direction[turning_ticks[1:], i] != direction[turning_ticks[:-1], i]
+        moving_ticks = np.flatnonzero(direction[:, i])
+        has_reversed[moving_ticks[1:], i] = (
+            direction[moving_ticks[1:], i] != direction[moving_ticks[:-1], i]
         )
     return has_reversed
 

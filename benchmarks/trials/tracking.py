@@ -39,7 +39,7 @@ from trials.script_program import ScriptProgram, ScriptStep
 from trials.simulated_plants import PLANT_FACTORS
 
 MEASURED_HANDS = ("jamia", "jamia11")
-MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
+MOTION_DURATIONS_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a minimum-jerk motion of 60 degrees at each speed [s]."""
 MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
@@ -98,9 +98,9 @@ def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
         steps.append(
             ScriptStep(
                 speed,
-                MOTION_TIMES_S[speed] + SETTLING_TIME_S,
+                MOTION_DURATIONS_S[speed] + SETTLING_TIME_S,
                 angle_deg=MOTION_ANGLE_DEG,
-                move_duration_s=MOTION_TIMES_S[speed],
+                move_duration_s=MOTION_DURATIONS_S[speed],
             )
         )
     return ScriptProgram(tuple(steps))
@@ -115,15 +115,15 @@ def tracking_trial(
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
     """Return the tracking trial of a control law with two given LQR weights."""
-    config = COMPARED_LAW_BY_NAME[law_name]
+    compared_law = COMPARED_LAW_BY_NAME[law_name]
     return LockstepTrial(
         hand_name + SPACED_HAND_SUFFIX,
         motion_script(speeds),
         seed,
         FREE_MOTION_SCENE,
         PLANT_FACTORS[plant_name],
-        config.gains(*lqr_weights, RATES_HZ[hand_name]),
-        change_controller=config.change_controller,
+        compared_law.gains(*lqr_weights, RATES_HZ[hand_name]),
+        change_controller=compared_law.change_controller,
     )
 
 
@@ -142,7 +142,7 @@ def tracking_figures(
         mask &= (
             trial_record.times
             <= trial_record.times[mask].min(initial=np.inf)
-            + MOTION_TIMES_S[speed]
+            + MOTION_DURATIONS_S[speed]
             + SETTLING_TIME_S
         )
         if not mask.any():
@@ -152,8 +152,8 @@ def tracking_figures(
             continue
         t = trial_record.times[mask] - trial_record.times[mask][0]
         e = error[mask]
-        moving = t <= MOTION_TIMES_S[speed] + MOTION_EXTENSION_S
-        time_after_motion = t - MOTION_TIMES_S[speed]
+        moving = t <= MOTION_DURATIONS_S[speed] + MOTION_EXTENSION_S
+        time_after_motion = t - MOTION_DURATIONS_S[speed]
         unsettled_times = np.where(
             np.abs(e) > SETTLED_BAND_DEG, np.maximum(time_after_motion, 0.0)[:, None], 0.0
         )
@@ -178,7 +178,7 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     result: dict = tracking_figures(record, job[-1])
     for speed in job[-1] if record.failure else ():
         phase_duration_s = (record.phase == speed).sum() * record.controller.model.period
-        if phase_duration_s < MOTION_TIMES_S[speed] + SETTLING_TIME_S - 0.01:
+        if phase_duration_s < MOTION_DURATIONS_S[speed] + SETTLING_TIME_S - 0.01:
             result[speed] = dict.fromkeys(result[speed], float("inf")) | {"why": record.failure}
     return result
 
@@ -191,7 +191,7 @@ def tune_weights(plan: JobPlan) -> None:
     trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
-        (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
+        (h, law, w, TUNING_SEED, "as known", tuple(MOTION_DURATIONS_S))
         for h in MEASURED_HANDS
         for law in COMPARED_LAW_BY_NAME
         for w in WEIGHT_CANDIDATES
@@ -230,12 +230,14 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
-def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
+def tuned_weights(
+    hand_name: str, law_name: str, must_keep_margins: bool = False
+) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
-    pair of weights can be considered, return the first pair of ``WEIGHT_CANDIDATES``, or the last
-    pair if ``with_margins`` is True.
+    If ``must_keep_margins`` is True, only weights that keep the stability margins are considered.
+    If no pair of weights can be considered, the result is a pair of ``WEIGHT_CANDIDATES``: the last
+    pair if ``must_keep_margins`` is True, and the first pair otherwise.
     """
     tuning_result = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = tuning_result["rmse_deg"][hand_name][law_name]
@@ -243,13 +245,13 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     usable_weights = [
         i
         for i, error in enumerate(errors)
-        if error is not None and (keeps_margins[i] or not with_margins)
+        if error is not None and (keeps_margins[i] or not must_keep_margins)
     ]
     return WEIGHT_CANDIDATES[
         min(
             usable_weights,
             key=errors.__getitem__,
-            default=len(WEIGHT_CANDIDATES) - 1 if with_margins else 0,
+            default=len(WEIGHT_CANDIDATES) - 1 if must_keep_margins else 0,
         )
     ]
 
@@ -344,7 +346,7 @@ def print_results(result: dict) -> None:
     print(
         "tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]"
     )
-    shown_rows = [
+    rows_without_margins = [
         (hand, *plant_and_value)
         for hand, plants in result["tracking"]["hands"].items()
         for plant_and_value in plants.items()
@@ -355,7 +357,7 @@ def print_results(result: dict) -> None:
         for plant_and_value in plants.items()
     ]
     for weights, rows in (
-        ("best weights", shown_rows),
+        ("best weights", rows_without_margins),
         ("weights that keep their margins", rows_with_margins),
     ):
         for hand, plant, laws in rows:
@@ -415,7 +417,7 @@ def main() -> None:
         counts = (
             (1, 0, ("fast",))
             if args.quick
-            else (args.seeds, args.wrong_seeds, tuple(MOTION_TIMES_S))
+            else (args.seeds, args.wrong_seeds, tuple(MOTION_DURATIONS_S))
         )
         result["tracking"] = measure_tracking(
             *counts, plan, MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS

@@ -126,8 +126,8 @@ def _conclusion_text(rows_by_law: dict, compared_law_names: tuple[str, str, str,
 def _comparison_of_laws(rows_by_law: dict, compared_law_names: tuple[str, str, str, str]) -> str:
     """Compare the tracking error of the complete control law with the tracking errors of two other control laws.
 
-    The two other control laws are PD without feedforward, and PD with a feedforward of springs and
-    gravity only.
+    The complete control law is compared with PD without feedforward, and with PD whose feedforward
+    contains only springs and gravity.
     """
     pd_row, springs_row, best = (rows_by_law[name]["fast"] for name in compared_law_names[:3])
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]
@@ -152,7 +152,7 @@ def _comparison_with_pd(ratio: float) -> str:
     )
 
 
-def _error_reduction_text(error_reduction: float, error_sigma: float, seeds: int) -> str:
+def _error_reduction_text(error_reduction: float, error_sigma: float, seed_count: int) -> str:
     """Return a text that states the ratio of ``error_reduction`` to the standard deviation ``error_sigma``.
 
     Both arguments are in degrees. The standard deviation of the tracking error is computed over the
@@ -161,7 +161,7 @@ def _error_reduction_text(error_reduction: float, error_sigma: float, seeds: int
     """
     return (
         f", which is {error_reduction / max(error_sigma, 1e-9):.0f} times the spread"
-        if seeds > 1
+        if seed_count > 1
         else " (one seed: no spread)"
     )
 
@@ -255,7 +255,7 @@ def _error_increase_text(plants: dict, law_name: str) -> str:
     """List by how much each change of the simulated hand raises the tracking error of a control law.
 
     The tracking error is the root mean square error during the fast motion, the fastest of three
-    test motions. The list begins with the largest rise of the error.
+    test motions. The list begins with the change that raises the error most.
     """
     nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
     error_rise_by_plant = {

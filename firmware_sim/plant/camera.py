@@ -55,8 +55,10 @@ class Camera:
         """
         self.width_px = width_px
         self.height_px = height_px
-        sky = SKY_XML.format(*SKY_COLOUR)
-        text = model_text(hand, scene, meshes=True).replace("<worldbody>", sky + "<worldbody>")
+        sky_element = SKY_XML.format(*SKY_COLOUR)
+        text = model_text(hand, scene, meshes=True).replace(
+            "<worldbody>", sky_element + "<worldbody>"
+        )
         self._model: Any = mujoco.MjModel.from_xml_string(text)
         self._data: Any = mujoco.MjData(self._model)
         self._model.vis.global_.offwidth = width_px

@@ -1,8 +1,8 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. A row and an object have attributes of the same names, so the code of
-a kernel can use both.
+rotors are objects in a list. A row of an array and an object have attributes of the same names, so
+each kernel works with rows and with objects.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
@@ -20,17 +20,17 @@ import numpy as np
 from firmware_sim.compiled import array_at, call_c_function, compiled, kernel_helper
 from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
-CAPSTAN_SPEED = 1e-3
+CAPSTAN_SPEED_M_PER_S = 1e-3
 """Tendon speed at which capstan friction reaches 76 % of its final value [m/s].
 
 Source: MODEL, section 3, v0.
 """
-COULOMB_SPEED = 0.05
+COULOMB_SPEED_RAD_PER_S = 0.05
 """Spool speed at which Coulomb friction reaches 76 % of its final value [rad/s].
 
 At a spool speed of 0.05 rad/s, the tendon moves at 0.25 mm/s.
 """
-ENCODER_STEP = 2.0 * math.pi / (1 << 14)
+ENCODER_STEP_RAD = 2.0 * math.pi / (1 << 14)
 """Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
 DIVERGENCE_SPEED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
@@ -98,7 +98,7 @@ def _elastic_tension(tendon: Any, stretch: float) -> float:
 
 
 @kernel_helper
-def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) -> float:
+def _friction_per_speed(tendon: Any, tension_loss: float, tension_times_angle: float) -> float:
     """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
     The kernel uses the quotient of force and speed (the secant of the friction curve) instead of
@@ -108,13 +108,13 @@ def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) 
     Args:
         tendon: the tendon, with its present speed.
         tension_loss: loss of tension that friction causes [N].
-        tension_angle: tension of the tendon times its wrap angle [N rad].
+        tension_times_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
     # When the tendon is almost at rest, the quotient of force and speed would be 0/0. The kernel
     # then returns the limit of the quotient.
-    if speed < 1e-3 * CAPSTAN_SPEED:
-        return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
+    if speed < 1e-3 * CAPSTAN_SPEED_M_PER_S:
+        return float(tension_times_angle * tendon.friction / CAPSTAN_SPEED_M_PER_S)
     return float(tension_loss / speed)
 
 
@@ -144,7 +144,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     """
     tension = tendon.tension
     angle = tendon.wrap
-    rate = tendon.friction * math.tanh(tendon.speed / CAPSTAN_SPEED)
+    rate = tendon.friction * math.tanh(tendon.speed / CAPSTAN_SPEED_M_PER_S)
     min_tension = tension
     max_tension = tension
     for i in range(tendon.first, tendon.end):
@@ -216,7 +216,7 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
 @kernel_helper
 def encoder_angle(theta: float) -> float:
     """Return a spool angle, rounded down to the resolution of the encoder [rad]."""
-    return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
+    return math.floor(theta / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
 
 
 @kernel_helper
@@ -277,10 +277,10 @@ def compute_command(rotor: Any) -> None:
     servo = rotor.own_servo
     current_lag = rotor.lag
     gain = rotor.gain
-    smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)
+    smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED_RAD_PER_S)
     # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains the
     # slope of the friction.
-    slope = rotor.coulomb * (1.0 - smoothed_sign * smoothed_sign) / COULOMB_SPEED
+    slope = rotor.coulomb * (1.0 - smoothed_sign * smoothed_sign) / COULOMB_SPEED_RAD_PER_S
     inertia = rotor.inertia / rotor.step + slope
     drag = rotor.load + rotor.coulomb * smoothed_sign
     command = servo.torque

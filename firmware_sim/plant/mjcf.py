@@ -15,7 +15,7 @@ from firmware_sim.scene.scene import GraspObject, Scene, SinkingTable
 
 STEP_S = 0.5e-3
 """Time step of the plant [s]. Source: MODEL, section 6: 15 of 15 grasps hold at 0.5 ms with armature 1e-6 kg m2."""
-HAND_FRICTION = 0.5
+HAND_FRICTION_COEFFICIENT = 0.5
 """Sliding friction coefficient of links and palm in scenes without an object."""
 
 OBJECT_COLLISION_BIT = 1
@@ -31,12 +31,12 @@ PALM_COLLISION_BIT = 8
 """Collision category of the palm."""
 TABLE_COLLISION_BIT = 16
 """Collision category of the table."""
-PALM_DEPTH = 0.02
+PALM_DEPTH_M = 0.02
 """Depth of the palm box [m].
 
 The front face of the palm is at the digit mount with the smallest x, usually at x = 0.
 """
-PALM_MARGIN = 0.01
+PALM_MARGIN_M = 0.01
 """Distance by which the palm extends beyond the outermost digit mounts [m]."""
 SAMPLES_PER_LINK = 9
 """Number of points along a link for the check of overlap with the palm."""
@@ -98,7 +98,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
             contacts. The plant uses a model without meshes.
     """
     mesh_by_link = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
-    friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
+    friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION_COEFFICIENT
     options = _OPTIONS.format(
         gravity=_numbers_text(hand.gravity),
         friction=friction,
@@ -133,8 +133,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return one flag for each digit: True if the digit closes in the opposite direction to the first finger.
 
-    The first finger is the first digit that can close. For example, if the thumb closes against the
-    first finger, the flag of the thumb is True.
+    The first finger is the first digit that can close. For example, the flag is True for a thumb
+    that closes against the first finger.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -148,16 +148,16 @@ def _closing_direction(hand: Hand, digit: Digit) -> Any:
 
     The closing direction is the y axis of the last link with all joints at zero.
     """
-    direction = rest_poses(digit)[-1][1][:, 1]
+    direction = link_poses_at_zero(digit)[-1][1][:, 1]
     while digit.carrier:
         digit = next(
             carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
         )
-        direction = rest_poses(digit)[-1][1] @ direction
+        direction = link_poses_at_zero(digit)[-1][1] @ direction
     return direction
 
 
-def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
+def link_poses_at_zero(digit: Digit) -> list[tuple[Any, Any]]:
     """Compute the pose of each link of a digit with all joints at zero.
 
     Returns:
@@ -204,10 +204,10 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     mounts = np.array([digit.position for digit in hand.digits_on_carrier(carrier)])
     low = mounts.min(axis=0)
     high = mounts.max(axis=0)
-    side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN
+    side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN_M
     centre = (low + high) / 2.0
-    centre[0] = low[0] - PALM_DEPTH / 2.0
-    return centre, np.array([PALM_DEPTH / 2.0, side, side])
+    centre[0] = low[0] - PALM_DEPTH_M / 2.0
+    return centre, np.array([PALM_DEPTH_M / 2.0, side, side])
 
 
 def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
@@ -259,9 +259,9 @@ def _palm_element(
     return f"{box}{mesh}\n{digits}\n"
 
 
-def _last_link_number(hand: Hand, name: str) -> int:
+def _last_link_number(hand: Hand, digit_name: str) -> int:
     """Return the number of the last link of a digit, counted from 1."""
-    return next(len(digit.length) for digit in hand.digits if digit.name == name)
+    return next(len(digit.length) for digit in hand.digits if digit.name == digit_name)
 
 
 def _group_attribute(has_mesh: bool) -> str:
@@ -285,7 +285,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     ]
     fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
     overlaps = []
-    for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
+    for length, (position, rotation) in zip(digit.length, link_poses_at_zero(digit), strict=True):
         points = position + fractions * (length * rotation[:, 0])
         distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
         is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())
@@ -507,8 +507,8 @@ def _table_element(
     """Build the table under the object. If the scene has no support, the returned text is empty.
 
     The first plate of the table is perpendicular to the axis of the palm frame along which gravity
-    is largest. If gravity is not parallel to an axis, further plates keep the object from sliding
-    and from tipping over.
+    is largest. If gravity is not parallel to this axis, the table has further plates, which keep
+    the object from sliding and from tipping over.
     """
     if support is None:
         return ""
@@ -586,8 +586,8 @@ def sink_direction(gravity: Sequence[float]) -> tuple[float, float, float]:
 def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
     """Return the axes of the palm frame along which a plate supports the object.
 
-    Each axis has the sign of gravity along this axis. The first axis is the axis along which
-    gravity is largest.
+    Each item of the result is the index of an axis, and the sign of gravity's component along this
+    axis. The first item is the axis along which gravity is largest.
     """
     direction = sink_direction(gravity)
     axes = sorted(range(3), key=lambda i: -abs(direction[i]))

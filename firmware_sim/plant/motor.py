@@ -105,7 +105,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the measured angle, None if the encoder has no fault."""
+        """Return the function that changes the measured angle, or None if the encoder has no fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -115,7 +115,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, None if the power stage has no fault."""
+        """Return the function that changes the torque command, or None if the power stage has no fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter

@@ -174,15 +174,18 @@ class Plant:
     def _build_table(self, support: SinkingTable, is_compiled: bool) -> SupportTable:
         """Build the table under the object.
 
-        With compiled kernels, the table reads the contact forces directly from MuJoCo's memory.
+        With compiled kernels, the returned ``SupportTable`` reads the contact forces directly from
+        MuJoCo's memory.
         """
         hand = self.hand
-        closing_indices = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
-        is_opposed = [opposed_digits(hand)[i] for i in closing_indices]
+        closing_digit_indices = [
+            i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits
+        ]
+        is_opposed = [opposed_digits(hand)[i] for i in closing_digit_indices]
         if not is_compiled:
-            return SupportTable(support, is_opposed, [3 * i for i in closing_indices])
+            return SupportTable(support, is_opposed, [3 * i for i in closing_digit_indices])
         indices = self.engine.force_indices(
-            "contact", [hand.digits[i].name for i in closing_indices]
+            "contact", [hand.digits[i].name for i in closing_digit_indices]
         )
         return SupportTable(support, is_opposed, indices, compile_module_kernels(support_kernels))
 
@@ -213,7 +216,7 @@ class Plant:
         return self.steps * STEP_NS + self.step_progress_ns
 
     def step(self) -> None:
-        """Advance the plant by one time step. The method ``advance`` describes the step."""
+        """Advance the plant by one time step, see ``advance``."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
@@ -300,7 +303,7 @@ class Plant:
     def _run_steps(self, count: int) -> None:
         """Run a number of time steps of the plant.
 
-        If no motor has a fault, a single call of a compiled kernel runs all ``count`` steps.
+        If no motor has a fault, a single call of a compiled kernel runs all ``count`` time steps.
         """
         if self.step_progress_ns:
             # The code first completes the rest of a divided time step, so that later steps start at
@@ -352,9 +355,9 @@ class Plant:
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
         """Return the four lists that the kernels need when they run as interpreted Python.
 
-        The first two lists contain the joint angles and velocities. The third list has a zero for
-        each joint, which the kernels replace by the joint torque. The fourth list has a zero for
-        each tendon, which the kernels replace by the damping of the tendon.
+        The lists contain the joint angles, the joint velocities, the joint torques, and the damping
+        coefficients of the tendons. The torques and damping coefficients in the returned lists are
+        zero, and the kernels replace these zeros.
         """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()

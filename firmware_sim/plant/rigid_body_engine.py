@@ -129,14 +129,14 @@ class RigidBodyEngine:
         The forces in ``sensed`` have the opposite sign of the forces on the digits. See
         ``make_force_reader``.
         """
-        return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
+        return [self._first_value_index(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the normal force between each digit and the object [N].
 
         The normal force of a digit is the sum over all contacts of the digit with the object.
         """
-        first_sensor_indices = [self._sensor_index(f"normal/{digit}") for digit in digits]
+        first_sensor_indices = [self._first_value_index(f"normal/{digit}") for digit in digits]
         index = np.array(
             [
                 [address + 3 * contact for contact in range(MAX_CONTACTS)]
@@ -146,9 +146,9 @@ class RigidBodyEngine:
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 
-    def _sensor_index(self, name: str) -> int:
+    def _first_value_index(self, sensor_name: str) -> int:
         """Return the index in ``sensed`` of the first value of a sensor."""
-        return int(self._model.sensor_adr[self._model.sensor(name).id])
+        return int(self._model.sensor_adr[self._model.sensor(sensor_name).id])
 
     def set_timestep(self, step_s: float) -> None:
         """Set the length of the following time steps [s]."""

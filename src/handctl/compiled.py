@@ -160,12 +160,12 @@ def _use_kernel_cache(folder: Path | None) -> Iterator[None]:
 
     The context has no effect on other packages that use numba.
     """
-    cache_folder_before = numba_config.CACHE_DIR
+    original_cache_folder = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(folder or "")
     try:
         yield
     finally:
-        numba_config.CACHE_DIR = cache_folder_before
+        numba_config.CACHE_DIR = original_cache_folder
 
 
 def _cache_folder() -> Path | None:
@@ -199,8 +199,8 @@ def _source_hash() -> str:
     package_folder = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(package_folder), digest_size=8)
     for name in KERNEL_SOURCES:
-        top_path = package_folder / name
-        for path in [top_path] if top_path.is_file() else sorted(top_path.rglob("*.py")):
+        source_path = package_folder / name
+        for path in [source_path] if source_path.is_file() else sorted(source_path.rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -274,9 +274,10 @@ def borrowed_array(
 
     Numba does not count the references to the returned array. If a function is called with an
     array, numba counts the references to the array with atomic operations. Kernels pass dozens of
-    tables to the functions that they call. Counting the references to these tables would take longer
-    than all computations. A borrowed array has no reference count, so the caller of the kernel must
-    keep the memory alive. If Python interprets the kernel, the borrowed array is an ordinary view.
+    tables to the functions that they call. Counting the references to these tables would take
+    longer than all computations of the kernels. A borrowed array has no reference count, so the
+    caller of the kernel must keep the memory alive. If Python interprets the kernel, the borrowed
+    array is an ordinary view.
 
     Args:
         flat_array: contiguous array.

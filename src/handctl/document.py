@@ -50,7 +50,9 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
     return validate_content(read_toml(path), model, str(path))
 
 
-def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
+def validate_content(
+    content: Mapping[str, Any], model: type[DocumentT], source_name: str
+) -> DocumentT:
     """Validate content that was parsed from TOML.
 
     The function converts the content to JSON, and lets pydantic validate the JSON text in strict
@@ -62,11 +64,14 @@ def validate_content(content: Mapping[str, Any], model: type[DocumentT], source:
     try:
         return model.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        raise _error_line(error, model, content, source) from None
+        raise _error_line(error, model, content, source_name) from None
 
 
 def _error_line(
-    error: ValidationError, model: type[BaseModel], file_content: Mapping[str, Any], source: str
+    error: ValidationError,
+    model: type[BaseModel],
+    file_content: Mapping[str, Any],
+    source_name: str,
 ) -> ConfigError:
     """Return the most specific of the errors that pydantic has found in a document.
 
@@ -81,7 +86,9 @@ def _error_line(
     )
     error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest_error)
     location = _without_tags(file_content, error_detail["loc"], error_detail["type"])
-    location_text = f"{source}: {key_path(file_content, location)}" if location else source
+    location_text = (
+        f"{source_name}: {key_path(file_content, location)}" if location else source_name
+    )
     if error_detail["type"] == "extra_forbidden":
         return ConfigError(
             "unknown key",
@@ -113,8 +120,8 @@ def _without_tags(
 ) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the models of a union.
 
-    Each part of the returned location is a key or an index in the content of the file, with one
-    exception. If the error is a missing key, the last part of the location is the missing key.
+    Each part of the returned location is a key or an index that the content of the file contains.
+    If the error is a missing key, the last part of the location is the missing key.
     """
     path: list[str | int] = []
     for position, key_or_index in enumerate(key_location):
@@ -164,7 +171,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
             return _allowed_keys(fields[str(first_key)].annotation, remaining_keys)
         return (
             _allowed_keys(type_annotation, remaining_keys)
-            if _is_alternative(type_annotation, first_key)
+            if _is_name_of_union_model(type_annotation, first_key)
             else set()
         )
     arguments = get_args(type_annotation)
@@ -179,7 +186,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
     )
 
 
-def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
+def _is_name_of_union_model(model: type[BaseModel], name: str | int) -> bool:
     """Return True if pydantic uses the given name in error locations for a model of a union.
 
     In an error location, pydantic names a model of a union by the tag or by the class name of the

@@ -2,16 +2,17 @@
 
 This module loads stored kernels without the parts of numba that only a compilation needs. When
 numba itself loads a stored function, it spends most of the time on three steps: registration,
-imports and parsing. First, numba registers all types and functions that can be compiled. Second,
-numba imports the modules of the numba functions that the stored function contains. Third, numba
-parses the intermediate code (bitcode) of the stored function. The bitcode is needed only if the
-stored function is inlined into another function. If the cache folder contains the code of all
-kernels, a program compiles nothing and needs none of the three steps. If numba must nevertheless
-compile a function, it registers the types when the compilation begins. If a newly compiled kernel
-calls a stored kernel, the bitcode of the stored kernel is parsed during linking.
+imports and parsing. For the registration, numba registers all types and functions that can be
+compiled. For the imports, numba imports the modules of all numba functions that the stored function
+contains. For the parsing, numba parses the intermediate code (bitcode) of the stored function. The
+bitcode is needed only if the stored function is inlined into another function. If the cache folder
+contains the code of all kernels, a program compiles nothing, so registration, imports and parsing
+are unnecessary. If numba must compile a function, numba registers the types when the compilation
+begins. If a newly compiled kernel calls a stored kernel, the bitcode of the stored kernel is parsed
+during linking.
 
-The three slow steps are internal to numba. This module skips the three steps only for the versions
-of numba in ``TESTED_NUMBA_VERSIONS``.
+Registration, imports and parsing are internal to numba. This module skips registration, imports and
+parsing only for the versions of numba in ``TESTED_NUMBA_VERSIONS``.
 """
 
 from collections.abc import Iterator

@@ -124,9 +124,9 @@ def _is_same_file(target: Path, other_path: Path) -> bool:
 
 
 def _resolve_target(path: Path, must_be_new: bool) -> Path:
-    """Check the path of an output, and return the path of the target file.
+    """Check the path of an output file, and return the path with all symbolic links resolved.
 
-    For a symbolic link, the target file is the file to which the link leads.
+    If the path is a symbolic link, the result is the path of the file to which the link leads.
     """
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():

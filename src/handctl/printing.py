@@ -1,7 +1,7 @@
 """Output of text in a form that is safe for a terminal.
 
-Text from files, logs and arguments must not control the terminal or fill the screen. Characters
-that are not printable are therefore written as escape sequences, as in Python source. Examples of
+Text from files, logs and arguments must not control the terminal or fill the screen. Therefore
+handctl writes unprintable characters as escape sequences, as in Python source. Examples of
 unprintable characters are control characters, terminal escapes, marks that change the direction of
 text, and lone surrogates.
 """
@@ -47,18 +47,18 @@ def printable_text(text: str, max_characters: int = 200) -> str:
     return escape_text(text[:max_characters]) + ("..." if len(text) > max_characters else "")
 
 
-def similar_name(word: str, names: Iterable[str], min_similarity: float = 0.6) -> str:
+def similar_name(word: str, valid_names: Iterable[str], min_similarity: float = 0.6) -> str:
     """Return the valid name that is most similar to a given word.
 
     If no name is similar enough, the result is an empty text.
 
     Args:
         word: word of any length, which a user typed or a file contains.
-        names: the valid names.
+        valid_names: the valid names.
         min_similarity: lowest similarity at which a name is accepted, from 0 (no similarity) to 1 (equal).
     """
     close_matches = difflib.get_close_matches(
-        word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=min_similarity
+        word[:MAX_WORD_CHARACTERS], list(valid_names), n=1, cutoff=min_similarity
     )
     return close_matches[0] if close_matches else ""
 

@@ -45,8 +45,8 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, command_words,
 def test_an_odrive_with_firmware_05_is_found(capsys):
     """Reproduce a defect: ``bus doctor`` searched for ODrives by asking for their firmware version.
 
-    An ODrive with firmware 0.5 does not answer a request for its firmware version. Without this
-    answer, ``bus doctor`` reported the ODrive as missing.
+    An ODrive with firmware 0.5 does not answer a request for its firmware version, so ``bus
+    doctor`` reported this ODrive as missing.
     """
     with run_simulated_drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0

@@ -127,8 +127,8 @@ def _table_lines(table_name, table_content):
 def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of a file's content in which one key is missing.
 
-    If ``renamed_value`` is given, the copy contains ``renamed_value`` under a new key. The new key
-    is the removed key with the suffix ``_x``.
+    If ``renamed_value`` is given, the copy has an additional key with the value ``renamed_value``.
+    The name of the additional key is the name of the missing key with the suffix ``_x``.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content
@@ -154,8 +154,7 @@ def mistake_cases():
 def text_with_repeated_key(text, key):
     """Return TOML text in which one key and its value occur twice.
 
-    The copy of the key and its value is on the line after the original, or in the inline table of
-    the original.
+    The second occurrence is on the line after the first occurrence, or in the same inline table.
     """
     entry = re.search(rf"(?<![\w-]){re.escape(key)} = (\[[^\]]*\]|[^,}}\n]*[^,}}\s])", text)
     separator = "\n" if text[: entry.start()].rpartition("\n")[2] == "" else ", "
@@ -209,8 +208,8 @@ def refuse_to_open_buses(monkeypatch):
 def refusal_of_file(capsys, file_option, file_name):
     """Return the error line of `run` for a file, or an empty text if `run` accepts the file.
 
-    `run` accepts the file if it opens the bus, which ``refuse_to_open_buses`` turns into a
-    ``BusOpenedError``.
+    `run` opens the bus only if it accepts the file. ``refuse_to_open_buses`` makes `run` raise a
+    ``BusOpenedError`` when `run` opens the bus.
     """
     task_options = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:

@@ -94,7 +94,7 @@ HAND_FILE_MISTAKES = {
     ),
 }
 """Mistakes in the hand file: the text to replace, the wrong text, and the beginning of the refusal."""
-DOUBTFUL_VALUES = {
+VALUES_WITH_WARNING = {
     "an unusual bit rate": (
         "bitrate = 1000000",
         "bitrate = 987654",
@@ -193,12 +193,12 @@ def test_a_mistake_is_one_line(
     assert line.startswith(f"handctl: mine.toml: {expected_start}")
 
 
-@pytest.mark.parametrize("case", DOUBTFUL_VALUES)
+@pytest.mark.parametrize("case", VALUES_WITH_WARNING)
 def test_a_doubtful_value_is_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    """Reproduce defects: `config check` printed no warning about the values in ``DOUBTFUL_VALUES``."""
-    old_text, new_text, expected_start = DOUBTFUL_VALUES[case]
+    """Reproduce defects: `config check` printed no warning about the values in ``VALUES_WITH_WARNING``."""
+    old_text, new_text, expected_start = VALUES_WITH_WARNING[case]
     write_hand(old_text, new_text)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -333,7 +333,8 @@ def test_gains_are_designed_for_spool_pairs_and_springs(
 ) -> None:
     """Reproduce two defects: the design found no gains, or it never ended, because a fault held the simulated hand.
 
-    The margins of the tension loops allowed an authority with which a spool pair oscillated.
+    The stability margins that the design required of the tension loops permitted gains with which a
+    spool pair oscillated.
     """
     write_hand()
     words = ["--hand", "mine.toml", "--plants", str(plant_count), "--output", "designed.toml"]

@@ -277,11 +277,11 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
     for name in (PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE):
         hand = load_hand(name)
         Path("whole.toml").write_text(hand.to_toml())
-        repeated_hand = load_hand("whole.toml")
-        assert repeated_hand.identity == hand.identity
+        reloaded_hand = load_hand("whole.toml")
+        assert reloaded_hand.identity == hand.identity
         for digit, other_digit in zip(
             DigitModel.digit_models_of_hand(hand),
-            DigitModel.digit_models_of_hand(repeated_hand),
+            DigitModel.digit_models_of_hand(reloaded_hand),
             strict=True,
         ):
             np.testing.assert_array_equal(digit.table, other_digit.table)

@@ -101,9 +101,8 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
     """Reproduce a defect.
 
-    In two cases, handctl armed a real hand with the calibration of a simulated hand. In the first
-    case, neither hand had serial numbers. In the second case, both hands had the same serial
-    numbers.
+    handctl armed a real hand with the calibration of a simulated hand, if neither hand had serial
+    numbers, or if both hands had the same serial numbers.
     """
     hand = load_hand("jamia")
     path = work_folder / "jamia.calibration.toml"

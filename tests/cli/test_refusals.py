@@ -315,8 +315,8 @@ REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
-    If the simulator of a hand did not run, the command exited with code 71 and asked the user to
-    switch off the motor power. However, a simulated hand has no motor power.
+    If no simulator ran, the command exited with code 71 and asked the user to switch off the motor
+    power, which a simulated hand does not have.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (

@@ -345,7 +345,7 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 
 
 def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
-    """Reproduce a defect: ``scan`` printed only one of another host's frames, and printed it eight times."""
+    """Reproduce a defect: ``scan`` printed one frame of another host eight times, and its other frames not at all."""
     foreign_frames = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
     result, _, _ = scan_bench(("odrive", 3), foreign_frames=foreign_frames)
     _print_scans({"main": "local:s"}, {"main": result}, "")

@@ -30,7 +30,7 @@ from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 
-FORCE_KEY = "tendon.index_tendon.motion_force_N"
+MOTION_FORCE_KEY = "tendon.index_tendon.motion_force_N"
 FORCES_FILE_TEXT = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
 
 
@@ -42,7 +42,7 @@ def jamia_model() -> HandModel:
 
 def gains_with_tendon_force(force_N: float) -> Gains:
     """Return gains with a separate force weight [N] for the tendon of jamia's index finger."""
-    return gains_with_values(Gains(), {FORCE_KEY: force_N}, "test")
+    return gains_with_values(Gains(), {MOTION_FORCE_KEY: force_N}, "test")
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
@@ -77,21 +77,21 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     path = tmp_path / "gains.toml"
     path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
     assert load_gains_file(path).gains == gains
-    assert values_by_key(gains)[FORCE_KEY] == 5.0
+    assert values_by_key(gains)[MOTION_FORCE_KEY] == 5.0
     assert gains_with_values(gains, values_by_key(gains), "test") == gains
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     assert changed_gain_values(Gains(), gains_with_tendon_force(5.0)) == {
-        FORCE_KEY: (Gains().motion.force_N, 5.0)
+        MOTION_FORCE_KEY: (Gains().motion.force_N, 5.0)
     }
     assert changed_gain_values(gains_with_tendon_force(5.0), Gains()) == {
-        FORCE_KEY: (5.0, Gains().motion.force_N)
+        MOTION_FORCE_KEY: (5.0, Gains().motion.force_N)
     }
     assert changed_gain_values(Gains(), gains_with_tendon_force(Gains().motion.force_N)) == {}
     events = gain_change_events(Gains(), gains_with_tendon_force(5.0))
     assert [(event.where, event.text) for event in events] == [
-        (FORCE_KEY, "5.0"),
+        (MOTION_FORCE_KEY, "5.0"),
         ("", "taken over: 1 changed"),
     ]
 

@@ -79,8 +79,8 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
 ):
     """Reproduce a defect: a hand was armed with the calibration of another hand of the same design.
 
-    Both hands of the same design were used in the same folder. The second hand got the load-cell
-    tares and encoder zeros of the first hand.
+    Two hands of one design were used in one folder. handctl applied the load-cell tares and encoder
+    zeros of the first hand to the second hand.
     """
     hand = hand_file(work_folder, protocols)
     first_bench, second_bench = (

@@ -135,7 +135,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
     words = REQUIRED_TICKS.split()
     required_ticks_by_id = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in FAULT_CATALOGUE:
-        assert entry.required == required_ticks_by_id.get(entry.id, 0), entry.id
+        assert entry.required_ticks == required_ticks_by_id.get(entry.id, 0), entry.id
         needs_reason = (entry.ticks or entry.ms) and reacts_too_late(entry)
         assert bool(entry.why) == bool(needs_reason), (
             f"{entry.id}: late detection, and no other, needs a reason"

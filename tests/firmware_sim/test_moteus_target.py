@@ -8,7 +8,7 @@ import pytest
 
 from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, Frame
 from firmware_sim.nodes.moteus.node import MoteusNode
-from firmware_sim.plant.drivetrain import ENCODER_STEP
+from firmware_sim.plant.drivetrain import ENCODER_STEP_RAD
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
@@ -103,10 +103,10 @@ def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction:
         + 0.02
     )
     assert drive.read_register(3) == pytest.approx(
-        exact_value, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
+        exact_value, abs=KP * ENCODER_STEP_RAD / TURN_RAD + 1e-4
     )
     assert direction * drive.motor.torque == pytest.approx(
-        exact_value, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
+        exact_value, abs=KP * ENCODER_STEP_RAD / TURN_RAD + 1e-4
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.hand_description import load_hand
-from firmware_sim.plant.drivetrain import COULOMB_SPEED, ENCODER_STEP
+from firmware_sim.plant.drivetrain import COULOMB_SPEED_RAD_PER_S, ENCODER_STEP_RAD
 from firmware_sim.plant.motor import CURRENT_LAG_S, Motor
 
 MOTOR_SPEC = load_hand("jamia").motors[0]
@@ -41,7 +41,9 @@ def test_a_rotor_creeps_below_coulomb_friction_and_accelerates_above(torque_sign
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
     motor.servo.torque, motor.servo.limit = torque_sign * 0.5 * MOTOR_SPEC.coulomb, 1.0
     spin_motor(motor, 0.5)
-    assert motor.omega == pytest.approx(torque_sign * COULOMB_SPEED * math.atanh(0.5), rel=1e-6)
+    assert motor.omega == pytest.approx(
+        torque_sign * COULOMB_SPEED_RAD_PER_S * math.atanh(0.5), rel=1e-6
+    )
     motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
     motor.servo.torque, motor.servo.limit = torque_sign * 2.0 * MOTOR_SPEC.coulomb, 1.0
     spin_motor(motor, 0.5)
@@ -66,7 +68,7 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
         / MOTOR_SPEC.viscous
         * math.log(1 + MOTOR_SPEC.viscous * 10.0 / MOTOR_SPEC.coulomb)
     )
-    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP_S == pytest.approx(
+    assert np.argmax(np.array(speeds) < COULOMB_SPEED_RAD_PER_S) * STEP_S == pytest.approx(
         exact_value, rel=0.05
     )
 
@@ -131,8 +133,8 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(target_speed: float) 
         assert servo.position == pytest.approx(target_speed * k * step_s, rel=1e-9)
         if k > 500:
             largest = max(largest, abs(error - exact_value))
-    assert largest < 0.05 * abs(target_speed) / omega + ENCODER_STEP
-    assert abs(target_speed) / omega > 10.0 * ENCODER_STEP
+    assert largest < 0.05 * abs(target_speed) / omega + ENCODER_STEP_RAD
+    assert abs(target_speed) / omega > 10.0 * ENCODER_STEP_RAD
 
 
 def test_a_fixed_target_does_not_move() -> None:
@@ -180,8 +182,8 @@ def test_the_encoder_has_fourteen_bits() -> None:
     motor = Motor(MOTOR_SPEC, STEP_S)
     for theta in np.linspace(-3, 3, 1000):
         motor.theta = float(theta)
-        assert 0.0 <= motor.theta - motor.encoder() < ENCODER_STEP
-    assert pytest.approx(2 * math.pi / 16384) == ENCODER_STEP
+        assert 0.0 <= motor.theta - motor.encoder() < ENCODER_STEP_RAD
+    assert pytest.approx(2 * math.pi / 16384) == ENCODER_STEP_RAD
 
 
 @pytest.mark.parametrize("torque", [-0.03, 0.045])

@@ -39,8 +39,8 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 def fault_texts(run_log: RunLog) -> list[str]:
     """Return the texts of those faults in a log that made the hand relax.
 
-    The function ignores faults whose reaction is less severe than relaxing, because a busy machine
-    causes such faults when it delays frames and actions.
+    The function ignores faults whose reaction is less severe than relaxing. Such faults also occur
+    on a busy machine, because frames and actions are late there.
     """
     return [
         row.event.text

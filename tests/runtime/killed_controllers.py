@@ -74,7 +74,7 @@ class DisturbedRun(NamedTuple):
 
     Attributes:
         sent_signal: signal that was sent to the controller.
-        before_signal_ns: time on the simulator's clock just before the signal [ns].
+        time_before_signal_ns: time on the simulator's clock just before the signal [ns].
         time_after_signal_ns: time on the simulator's clock just after the signal [ns].
         simulator_delay_ns: time after the signal during which the simulator and its drives did not run
             [ns].
@@ -85,7 +85,7 @@ class DisturbedRun(NamedTuple):
     """
 
     sent_signal: signal.Signals
-    before_signal_ns: int
+    time_before_signal_ns: int
     time_after_signal_ns: int
     simulator_delay_ns: int
     bus_sync_counts: bytes
@@ -100,7 +100,7 @@ class KillVerdict(NamedTuple):
         run: record of the run.
         was_taut: True if a tendon was taut at the time of the signal.
         had_motor_torque: True if a motor made torque at the time of the signal.
-        max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
+        max_torque_off_ms: time from ``time_before_signal_ns`` until no motor made torque [ms].
         min_torque_off_ms: time from ``time_after_signal_ns`` until no motor made torque [ms].
         remaining_tension_N: largest tension after the fingers have had time to open [N].
     """
@@ -114,7 +114,7 @@ class KillVerdict(NamedTuple):
 
     @property
     def torque_ended_in_time(self) -> bool:
-        """Return True if the torque of all motors ended in time after the signal.
+        """Return True if all motors were without torque within a time limit after the signal.
 
         The time limit is the watchdog time of the drives plus the decay time of the torque.
         """
@@ -338,7 +338,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     tension = truth.values[
         :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     ]
-    begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
+    begin = np.searchsorted(truth.t_ns, run.time_before_signal_ns)
     end = np.searchsorted(
         truth.t_ns,
         run.time_after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9),
@@ -347,13 +347,13 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     last_ns = (
         int(truth.t_ns[begin + driven[-1]]) - run.simulator_delay_ns
         if len(driven)
-        else run.before_signal_ns
+        else run.time_before_signal_ns
     )
     return KillVerdict(
         run,
         was_taut=bool(tension[begin].max() > MIN_TAUT_N),
         had_motor_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
-        max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
+        max_torque_off_ms=(last_ns - run.time_before_signal_ns) * 1e-6,
         min_torque_off_ms=(last_ns - run.time_after_signal_ns) * 1e-6,
         remaining_tension_N=float(tension[min(end, len(tension) - 1)].max()),
     )

@@ -128,8 +128,8 @@ def test_stamps_never_run_backwards_or_ahead(
 ) -> None:
     """In this test, the wall clock is set while frames wait in the socket.
 
-    Although the wall clock is set, the time stamps of the waiting frames are in order and not in
-    the future.
+    The change of the wall clock must neither disturb the order of the frames' time stamps, nor put
+    a time stamp into the future.
     """
     bus, peer_socket = udp_bus
     real_time_ns = time.time_ns
@@ -166,9 +166,9 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 
 
 def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
-    """Send more frames than a small buffer can store.
+    """Send more frames than a small buffer can store, and then one more frame.
 
-    Finally, send one more frame, which carries the number of dropped frames.
+    The last frame carries the number of dropped frames.
     """
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -185,9 +185,9 @@ def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Reproduce a defect: after a frame was lost, the bus converted all later frames one by one.
+    """Reproduce a defect: after a lost frame, the bus converted all later frames one by one instead of in batches.
 
-    To convert frames one by one is slower than to convert a batch of frames.
+    The conversion of frames one by one is slower than the conversion of a batch.
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """

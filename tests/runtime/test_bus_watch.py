@@ -153,18 +153,18 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     for _ in range(120):
         watch.run_tick()
     original_wait = simulated_buses.wait
-    waiting_times = []
+    waited_ticks = []
 
     def stall_at_first_wait(k):
-        waiting_times.append(k)
-        skipped_ticks = missed_ticks if len(waiting_times) == 1 else 0
+        waited_ticks.append(k)
+        skipped_ticks = missed_ticks if len(waited_ticks) == 1 else 0
         original_wait(k + skipped_ticks)
         return skipped_ticks * PERIOD_NS + 7
 
     simulated_buses.wait = stall_at_first_wait
     for _ in range(3):
         watch.run_tick()
-    assert waiting_times == [120, 121 + missed_ticks, 122 + missed_ticks]
+    assert waited_ticks == [120, 121 + missed_ticks, 122 + missed_ticks]
     assert watch.k == 123 + missed_ticks
     assert watch.silent_motors() == []
 

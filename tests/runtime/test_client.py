@@ -122,7 +122,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
     If a user passed a mapping of digits to ``move`` or ``hold`` as the first argument, the client
-    used the mapping as the duration of the motion. The client then raised the error "no digit".
+    used the mapping as the duration of the motion, and raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

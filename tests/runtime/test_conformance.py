@@ -204,8 +204,8 @@ def test_the_documentation_has_each_defect_of_each_protocol():
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
     """Reproduce a defect: the result of a check did not name the frames that were missing.
 
-    The check failed, because the motor sent no frames. The reason in the result was "stays in
-    SILENT".
+    The check failed because the motor sent no frames, but the result only stated "stays in SILENT"
+    as the reason.
     """
     checks, _, _ = check_results(protocol, "mute")
     check = checks[FAILED_CHECK["mute"]]
@@ -252,8 +252,8 @@ ENDPOINT_OPTIONS = [key for key in OPTIONS_BY_PROTOCOL["odrive"] if key.startswi
 def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_options):
     """Reproduce two defects of the checks of a good ODrive whose options ``endpoint_*`` are not set.
 
-    The check of the watchdog failed. The check that reads the settings back passed, although
-    handctl can read no setting without the options ``endpoint_*``.
+    The check of the watchdog failed. The check of the drive's settings passed, although handctl
+    cannot read any setting without the options ``endpoint_*``.
     """
     all_options = OPTIONS_BY_PROTOCOL["odrive"]
     options = OPTIONS_WITHOUT_ENDPOINTS | {

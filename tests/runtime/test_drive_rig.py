@@ -94,8 +94,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     """Reproduce a defect.
 
     The rig computed the velocity as if the ticks before and after a stall of the host were
-    adjacent. Because of this mistake, the computed velocity of the shaft was too high after the
-    stall.
+    adjacent, so the computed velocity of the shaft was too high after the stall.
     """
     virtual_bench = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = virtual_bench.bench.motors[0]

@@ -92,8 +92,8 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
 def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     """Reproduce a defect.
 
-    The command that handctl proposed for a finding did not set ``restart-ms``. After the user had
-    executed the proposed command, handctl reported a second finding, which demanded ``restart-ms``.
+    The command that handctl proposed to set up a CAN interface did not set ``restart-ms``. After
+    the user had executed the command, handctl demanded ``restart-ms`` in a second finding.
     """
     (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = interface_setup_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)

@@ -460,7 +460,8 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 ) -> None:
     """If a bus refuses the frames that disable the drives, the loop repeats these frames for a limited time.
 
-    Before the loop repeats the frames, it sends the disabling frames of every other bus.
+    Before the first repetition, the loop sends the frames that disable the drives on all other
+    buses.
     """
     pauses: list[float] = []
     monkeypatch.setattr(loop.time, "sleep", pauses.append)

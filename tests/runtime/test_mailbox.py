@@ -44,54 +44,54 @@ def send_request(bus_name: str, request_text: str) -> None:
 
 
 def test_requests_come_in_order_and_once() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     for text in ("one", "two", '{"do": "stop"}'):
         send_request("local:x", text)
-    assert box.read_requests() == ("one", "two", '{"do": "stop"}')
-    assert box.read_requests() == ()
-    box.close()
+    assert bus_mailbox.read_requests() == ("one", "two", '{"do": "stop"}')
+    assert bus_mailbox.read_requests() == ()
+    bus_mailbox.close()
 
 
 def test_a_flood_of_requests_is_read_in_parts() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     sent = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)
         try:
             for sent in range(1000):
-                out.sendto(str(sent).encode(), str(box.path))
+                out.sendto(str(sent).encode(), str(bus_mailbox.path))
         except BlockingIOError:
             pass
     received_requests: list[str] = []
-    while some_requests := box.read_requests():
+    while some_requests := bus_mailbox.read_requests():
         assert len(some_requests) <= MAX_REQUESTS_PER_TICK
         received_requests += some_requests
     assert received_requests == [str(i) for i in range(len(received_requests))]
     assert len(received_requests) >= min(sent, 10)
-    box.close()
+    bus_mailbox.close()
 
 
 def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
-            out.sendto(data, str(box.path))
-    long_text, empty_datagram, binary = box.read_requests()
+            out.sendto(data, str(bus_mailbox.path))
+    long_text, empty_datagram, binary = bus_mailbox.read_requests()
     assert long_text == "x" * MAX_REQUEST_BYTES
     assert empty_datagram == ""
     binary.encode()
-    box.close()
+    bus_mailbox.close()
 
 
 def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     for _ in range(2):
         with pytest.raises(BusError, match="another controller runs here"):
             Mailbox("local:x")
     other_mailbox = Mailbox("local:y")
     send_request("local:x", "still there")
-    assert box.read_requests() == ("still there",)
-    box.close()
+    assert bus_mailbox.read_requests() == ("still there",)
+    bus_mailbox.close()
     repeated_mailbox = Mailbox("local:x")
     repeated_mailbox.close()
     other_mailbox.close()
@@ -139,11 +139,11 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
-    box = Mailbox("local:y")
+    bus_mailbox = Mailbox("local:y")
     words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
     assert main(["commission", *words, "--json"]) == 1
     assert "bus local:y: another controller runs here" in capsys.readouterr().err
-    box.close()
+    bus_mailbox.close()
     assert main(["commission", *words, "--json"]) == 1
     assert "local:x: no simulator serves this bus" in capsys.readouterr().err
 
@@ -164,10 +164,10 @@ def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
     child.wait()
     child.stdout.close()
     assert mailbox_path("local:x").exists()
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     send_request("local:x", "hello")
-    assert box.read_requests() == ("hello",)
-    box.close()
+    assert bus_mailbox.read_requests() == ("hello",)
+    bus_mailbox.close()
     assert not mailbox_path("local:x").exists()
 
 
@@ -179,7 +179,7 @@ from handctl.runtime.mailbox import Mailbox
 start = float(sys.argv[1])
 while time.monotonic() < start: pass
 try:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
 except BusError:
     print("refused", flush=True)
 else:
@@ -203,8 +203,8 @@ def test_a_request_without_a_controller_is_one_line() -> None:
     with pytest.raises(BusError, match="no controller answers") as caught:
         send_with_confirmation(watcher, {"do": "arm"})
     assert "local:x" in str(caught.value)
-    box = Mailbox("local:x")
-    box.close()
+    bus_mailbox = Mailbox("local:x")
+    bus_mailbox.close()
     with pytest.raises(BusError, match="no controller answers"):
         send_with_confirmation(watcher, {"do": "arm"})
     watcher.close()
@@ -223,13 +223,13 @@ def test_a_folder_that_cannot_hold_sockets_is_one_line(
 
 
 def test_only_this_user_can_access_the_folder(run_folder: Path) -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     assert stat.S_IMODE(run_folder.stat().st_mode) == 0o700
-    box.close()
+    bus_mailbox.close()
 
 
 def test_watchers_get_each_published_line_once() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     ends = []
     for name in ("a", "b"):
         end = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -237,31 +237,31 @@ def test_watchers_get_each_published_line_once() -> None:
         end.setblocking(False)
         ends.append(end)
     for _ in range(6):
-        ends[0].sendto(b'{"do": "watch"}', str(box.path))
-    ends[1].sendto(b'{"do": "watch"}', str(box.path))
-    ends[0].sendto(b'{"do": "watch"}', str(box.path))
-    assert box.read_requests() == (), "a watch request is no request to the controller"
-    box.publish_status({"k": 1})
+        ends[0].sendto(b'{"do": "watch"}', str(bus_mailbox.path))
+    ends[1].sendto(b'{"do": "watch"}', str(bus_mailbox.path))
+    ends[0].sendto(b'{"do": "watch"}', str(bus_mailbox.path))
+    assert bus_mailbox.read_requests() == (), "a watch request is no request to the controller"
+    bus_mailbox.publish_status({"k": 1})
     for end in ends:
         assert json.loads(end.recv(1000)) == {"k": 1}
         with pytest.raises(BlockingIOError):
             end.recv(1000)
     ends[0].close()
-    box.publish_status({"k": 2})
+    bus_mailbox.publish_status({"k": 2})
     assert json.loads(ends[1].recv(1000)) == {"k": 2}
     ends[1].close()
-    box.publish_status({"k": 3})
-    assert box.watchers == []
-    box.close()
+    bus_mailbox.publish_status({"k": 3})
+    assert bus_mailbox.watchers == []
+    bus_mailbox.close()
 
 
 def test_a_program_may_watch_two_controllers() -> None:
     mailboxes = [Mailbox("local:x"), Mailbox("local:y")]
     watchers = [StatusWatcher("local:x"), StatusWatcher("local:y")]
-    for box, watcher in zip(mailboxes, watchers, strict=True):
+    for bus_mailbox, watcher in zip(mailboxes, watchers, strict=True):
         watcher.request_status_line(0.0)
-        box.read_requests()
-        box.publish_status({"name": watcher.name})
+        bus_mailbox.read_requests()
+        bus_mailbox.publish_status({"name": watcher.name})
     assert [watcher.next_status_line(1.0) for watcher in watchers] == [
         {"name": "local:x"},
         {"name": "local:y"},
@@ -276,37 +276,37 @@ def test_the_socket_of_a_killed_controller_does_not_count_as_running(run_folder:
         abandoned_socket.bind(str(mailbox_path("local:x")))
     assert mailbox_path("local:x").exists()
     assert not is_running("local:x")
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     assert is_running("local:x")
-    assert box.read_requests() == (), "a search for controllers is no request"
-    box.close()
+    assert bus_mailbox.read_requests() == (), "a search for controllers is no request"
+    bus_mailbox.close()
 
 
 def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
         end.bind(str(run_dir() / "a"))
-        end.sendto(b'{"do": "watch"}', str(box.path))
-        box.read_requests()
+        end.sendto(b'{"do": "watch"}', str(bus_mailbox.path))
+        bus_mailbox.read_requests()
         start_time_s = time.monotonic()
         for k in range(500):
-            box.publish_status({"k": k, "text": "x" * 500})
+            bus_mailbox.publish_status({"k": k, "text": "x" * 500})
         assert time.monotonic() - start_time_s < 2.0
-    box.close()
+    bus_mailbox.close()
 
 
 def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     watcher = StatusWatcher("local:x")
     assert watcher.request_status_line(0.01) is None, "no controller runs"
-    box = Mailbox("local:x")
+    bus_mailbox = Mailbox("local:x")
     assert watcher.request_status_line(0.01) is None
-    box.read_requests()
-    box.publish_status({"k": 1})
-    box.publish_status({"k": 2})
+    bus_mailbox.read_requests()
+    bus_mailbox.publish_status({"k": 1})
+    bus_mailbox.publish_status({"k": 2})
     assert watcher.request_status_line(0.01) is None, "earlier lines are discarded"
     watcher.close()
     assert not watcher.path.exists()
-    box.close()
+    bus_mailbox.close()
 
 
 def test_paths_differ_for_each_bus_and_user(

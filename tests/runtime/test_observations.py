@@ -131,7 +131,7 @@ def test_a_record_comes_back_with_every_field() -> None:
 def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> None:
     """Reproduce a defect: ``copy.copy`` and ``pickle`` of an observation raised a RecursionError.
 
-    ``dir`` left out all fields of the observation.
+    In addition, ``dir(observation)`` did not list the fields of the observation.
 
     Programs put observations into queues between processes, and notebooks complete names with
     ``dir``.

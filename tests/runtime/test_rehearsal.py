@@ -72,10 +72,10 @@ def test_a_single_late_wake_up_leaves_the_rehearsal_out(monkeypatch: pytest.Monk
     clock.start()
     for k in range(1000):
         clock.wait(k)
-    rehearsals = len(wall.tick_starts_ns)
+    rehearsed_tick_count = len(wall.tick_starts_ns)
     wall.wake_up_delay_ns = MARGIN_NS + 10_000
     assert clock.wait(1000) < 1000
-    assert len(wall.tick_starts_ns) == rehearsals
+    assert len(wall.tick_starts_ns) == rehearsed_tick_count
 
 
 def test_a_process_that_always_wakes_up_late_sleeps_for_a_shorter_time(
@@ -157,9 +157,9 @@ def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.Monkey
     wall.tick_ns = 3 * PERIOD_NS // 4
     clock.wait(100)
     wall.tick_ns = TICK_NS
-    rehearsals = len(wall.tick_starts_ns)
+    rehearsed_tick_count = len(wall.tick_starts_ns)
     assert max(clock.wait(k) for k in range(101, 501)) < 1000
-    assert len(wall.tick_starts_ns) > rehearsals + 100
+    assert len(wall.tick_starts_ns) > rehearsed_tick_count + 100
 
 
 @pytest.mark.parametrize("log_path", GOLDEN_LOGS, ids=lambda path: path.stem)

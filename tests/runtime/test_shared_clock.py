@@ -105,9 +105,10 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
-    """The shared clock continues while a user stops the controller process.
+    """Stop the controller process for many ticks, as a user can do.
 
-    Because the clock continues, the watchdogs of the drives fire.
+    The clock that controller and simulator share continues during the stop, so the watchdogs of the
+    drives fire.
     """
     clock = clock_pair.controller
     clock.start()

@@ -32,7 +32,7 @@ PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_t
 
 
 @pytest.fixture
-def live_hand(work_folder, hand_truth_file, calibration_options, time_scale_options):
+def connected_client(work_folder, hand_truth_file, calibration_options, time_scale_options):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
         "jamia",
@@ -102,7 +102,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 
 
 @REALTIME_MARK
-def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
+def test_a_move_ends_with_an_error_if_another_client_takes_over(connected_client):
     """Reproduce a defect: if another client stopped a move, the move counted as complete.
 
     The method ``move``, which waits for the end of the move, returned without an error.
@@ -111,46 +111,48 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
 
     def move():
         try:
-            live_hand.move(index=30.0, duration_s=5.0)
+            connected_client.move(index=30.0, duration_s=5.0)
         except library.HandctlError as error:
             ended.append(str(error))
 
-    moving_thread = threading.Thread(target=move)
-    moving_thread.start()
+    move_thread = threading.Thread(target=move)
+    move_thread.start()
     with library.connect("jamia", LOCAL_BUS) as other_client:
         assert other_client.wait_for(phase="live").mode == "ACTIVE"
         time.sleep(0.5)
         other_client.take_over()
-        moving_thread.join(5.0)
+        move_thread.join(5.0)
         assert ended == [
             f"bus {LOCAL_BUS}: {other_client.name} has taken over the hand; expected take_over"
         ]
 
 
 @REALTIME_MARK
-def test_only_one_of_several_clients_commands_the_hand(live_hand):
+def test_only_one_of_several_clients_commands_the_hand(connected_client):
     """Reproduce a defect: when one of several clients disconnected, the hand stopped.
 
     Another defect: two threads of one client did not get the results of their moves.
     """
-    live_hand.move(index=10.0, duration_s=0.3)
+    connected_client.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other_client:
         assert other_client.observe().mode == "ACTIVE"
         with pytest.raises(
-            ConfigError, match=f"{live_hand.name} commands this hand, expected take_over"
+            ConfigError, match=f"{connected_client.name} commands this hand, expected take_over"
         ):
             other_client.move(thumb=5.0)
         other_client.take_over()
         other_client.move(thumb=5.0, duration_s=0.3)
         with pytest.raises(ConfigError, match=f"{other_client.name} commands this hand"):
-            live_hand.hold(thumb=8.0)
-    live_hand.move(thumb=0.0, duration_s=0.3)
-    assert live_hand.observe().mode == "ACTIVE", "the hand continues without the other client"
+            connected_client.hold(thumb=8.0)
+    connected_client.move(thumb=0.0, duration_s=0.3)
+    assert connected_client.observe().mode == "ACTIVE", (
+        "the hand continues without the other client"
+    )
     errors = []
 
     def move(**angles):
         try:
-            live_hand.move(duration_s=0.3, **angles)
+            connected_client.move(duration_s=0.3, **angles)
         except library.HandctlError as error:
             errors.append(error)
 
@@ -162,12 +164,12 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
     for thread in threads:
         thread.join()
     assert not errors
-    assert live_hand.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
+    assert connected_client.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
     with pytest.raises(ConfigError, match="wait_for: no digit 'pinky'; expected one of"):
-        live_hand.wait_for(contact="pinky")
+        connected_client.wait_for(contact="pinky")
     with pytest.raises(DriveError, match=r"condition not met after 0.1 s"):
-        live_hand.wait_for(contact="index", timeout_s=0.1)
-    assert live_hand.wait_for(phase="live").phase == "live"
+        connected_client.wait_for(contact="index", timeout_s=0.1)
+    assert connected_client.wait_for(phase="live").phase == "live"
 
 
 def test_every_watcher_gets_its_lines(work_folder):

@@ -34,7 +34,7 @@ from handctl.safety.faults.fault import (
     FAULT_PLACE_TENDON,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
+from handctl.safety.safety_limits import LOAD_CELL_NODE_NAME, SafetyLimits
 from handctl.safety.tick_verdict import (
     EventReport,
     LatchedFault,
@@ -266,7 +266,9 @@ class SyntheticMonitor:
             FAULT_PLACE_JOINT: self.limits.joints,
         }
         return (
-            {**names, FAULT_PLACE_NODE: (*self.limits.motors, LOAD_CELLS)}[part_kind][part_index]
+            {**names, FAULT_PLACE_NODE: (*self.limits.motors, LOAD_CELL_NODE_NAME)}[part_kind][
+                part_index
+            ]
             if part_kind in {*names, FAULT_PLACE_NODE}
             else ""
         )

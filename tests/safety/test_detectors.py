@@ -88,7 +88,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 
 
 @pytest.mark.parametrize(("catalogue_row", "last_columns"), [
-    (CatalogueRow("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
+    (CatalogueRow("B12", "t", "fault table", ticks=1, required_ticks=1), "2 ms, 1 ticks | campaign |"),
     (CatalogueRow("B12", "t", "fault table", ticks=2, odrive_extra_ms=9),
      "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
     (CatalogueRow("B12", "t", "fault table", tested_by="x.py"), "1 tick | x.py |"),
@@ -118,16 +118,16 @@ def test_a_fault_that_no_tick_judges_names_its_place() -> None:
 
 def test_rows_later_than_required_are_listed_with_reasons() -> None:
     soon, just = (
-        CatalogueRow("A", "t", "fault table", ticks=2, required=3),
-        CatalogueRow("B", "t", "fault table", ticks=3, required=3),
+        CatalogueRow("A", "t", "fault table", ticks=2, required_ticks=3),
+        CatalogueRow("B", "t", "fault table", ticks=3, required_ticks=3),
     )
     row_with_reason = CatalogueRow(
-        "C", "u", "fault table", ticks=1, ms=30, required=5, why="because"
+        "C", "u", "fault table", ticks=1, ms=30, required_ticks=5, why="because"
     )
     row_without_deadline = CatalogueRow(
         "D", "t", "fault table", ticks=9
     )  # the reaction to a fault without a required reaction time is never late
-    row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
+    row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required_ticks=1)
     assert [
         reacts_too_late(row)
         for row in (soon, just, row_with_reason, row_without_deadline, row_in_time)

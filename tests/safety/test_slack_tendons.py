@@ -13,7 +13,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.digit_reference import MINIMUM_JERK
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.tick_types import HandMode
-from handctl.safety.faults.node import PULL_AFTER_CUT_N
+from handctl.safety.faults.node import TENSION_AFTER_CUT_N
 from handctl.safety.faults.tendon import SLACK_TENSION_N, SNAP_MIN_COMMAND_N, TAUT_TENSION_N
 from tests.safety.synthetic_monitor import (
     PERIOD_S,
@@ -355,4 +355,4 @@ def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
-    assert SLACK_TENSION_N < TAUT_TENSION_N < SNAP_MIN_COMMAND_N < PULL_AFTER_CUT_N
+    assert SLACK_TENSION_N < TAUT_TENSION_N < SNAP_MIN_COMMAND_N < TENSION_AFTER_CUT_N

@@ -31,7 +31,7 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
-from handctl.safety.faults.node import PULL_AFTER_CUT_TIME_S
+from handctl.safety.faults.node import TENSION_AFTER_CUT_TIME_S
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.safety_action import SafetyAction
 
@@ -46,10 +46,10 @@ READY_DURATION_S = 0.1
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
-TORQUE_CUT_DURATION_S = PULL_AFTER_CUT_TIME_S
+TORQUE_CUT_DURATION_S = TENSION_AFTER_CUT_TIME_S
 """Time for which the frames that cut the torque are repeated [s]."""
 RELEASE_DETECTION_TICKS = 2
-"""Ticks after ``PULL_AFTER_CUT_TIME_S`` in which the detector of pulling tendons (N16) can still report a fault."""
+"""Ticks after ``TENSION_AFTER_CUT_TIME_S`` in which the detector of remaining tension (N16) can report a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,7 +422,7 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
     if not possibly_enabled_motors:
         # A drive can report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
-        is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
+        is_checked = ticks_without_torque * inputs.model.period >= TENSION_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.time_in_mode < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""

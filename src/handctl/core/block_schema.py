@@ -206,9 +206,9 @@ class BlockLayout:
         return (table_elements.view(np.int64) if is_integer else table_elements).reshape(shape)
 
     def axis_name_of_field(self, name: str) -> str:
-        """Return the name of the axis of a field.
+        """Return the names of all axes of a field's table, joined by ``*``.
 
-        The result is ``a*b`` for a field in a table with the axes ``a`` and ``b``.
+        For a field in a table with the axes ``a`` and ``b``, the result is ``a*b``.
         """
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX

@@ -341,7 +341,7 @@ TENSION_GROUP_COUNT = _integer_field(
 
 
 class ConstantTables(NamedTuple):
-    """Tables in a block of constants.
+    """Tables of constants of a hand, for compiled kernels.
 
     The shape of each table except ``design`` is (rows, length of the first axis, length of the
     second axis if there is one). The table ``design`` has the shape (tendon, kind of filter design,

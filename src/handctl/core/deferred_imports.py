@@ -20,7 +20,7 @@ DEFERRED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing
 
 
 class _DeferredAttribute:
-    """Stand-in for an attribute of a module: a function or a probability distribution.
+    """Stand-in for a function or a probability distribution of a module that is not imported yet.
 
     The first use of the stand-in imports the module.
     """
@@ -41,10 +41,10 @@ class _DeferredAttribute:
         )
 
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
-        """Import the module, and apply ``operation`` to its real function or distribution.
+        """Import the module, and apply ``operation`` to the function or distribution that the stand-in replaces.
 
-        While filterpy is imported, it calls one function once as a trial. The result of this trial
-        call is None.
+        During the import of filterpy, one function of a stand-in is called as a trial. The result
+        of the trial call is None.
         """
         module: Any = importlib.import_module(self._module)
         imported_object = getattr(module, self._name)

@@ -62,7 +62,11 @@ class HandEstimate(_StateView):
 
     @property
     def regimes(self) -> NDArray[np.int64]:
-        """Return the regime of each tendon: 0 free, 1 held, 2 slack."""
+        """Return the value of ``TendonRegime`` for each tendon: 0 free, 1 held, 2 slack.
+
+        A taut tendon is free while its digit moves freely. A taut tendon is held while its digit
+        rests on an object or on its open stop.
+        """
         return self.layout.view(self.block, "regime")
 
     @property

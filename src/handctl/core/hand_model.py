@@ -210,11 +210,12 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     """Return the largest torque that the host is allowed to command to each drive (N,) [N m at the spool].
 
-    The hand file and the drive limit the torque. A drive with a torque gain below 1 makes
-    less torque than commanded, and the torque gain reduces its largest torque as well. A drive refuses a command
-    that exceeds the torque limit, even by a rounding error. The conversion of a torque by the spool
-    radius and the torque gain has rounding errors, so the torque could exceed the limit. To prevent
-    a refused command, the result is reduced by a relative margin of 1e-12.
+    The hand file and the drive limit the torque. A drive with a torque gain below 1 makes less
+    torque than commanded, and the torque gain reduces its largest torque as well. A drive refuses a
+    command that exceeds the torque limit, even by a rounding error. The conversion of a torque by
+    the spool radius and the torque gain has rounding errors, so the torque could exceed the limit.
+    The returned limit is smaller than the exact limit by the fraction 1e-12, so that no drive
+    refuses a command.
     """
     torque_limit = np.array(
         [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]

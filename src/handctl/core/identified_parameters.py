@@ -204,10 +204,10 @@ def _is_in_slice(indices: slice, i: int) -> bool:
 
 def _replace_tendon_values(
     tendon_table: dict[str, object],
-    key_of_parameter: dict[str, str],
+    key_by_parameter: dict[str, str],
     known_parameters: IdentifiedParameters,
 ) -> None:
-    for name, key in key_of_parameter.items():
+    for name, key in key_by_parameter.items():
         if name in known_parameters.names:
             tendon_table[key] = known_parameters.get(name, 0.0)
 

@@ -14,9 +14,9 @@ MAX_CACHED_VALUES = 256
 class SequenceCache(Generic[T]):
     """Cache of a function's results for the items of a sequence.
 
-    The cache is useful if most items of a sequence are the same objects as in the last sequence. If
-    an item is the same object as the item with the same index in the last sequence, the earlier
-    result is returned.
+    The cache compares each item with the item at the same index of the last sequence. If both items
+    are the same object, the cache returns the earlier result. The cache saves time if most objects
+    stay the same from one sequence to the next.
     """
 
     def __init__(self, serialize: Callable[[T], bytes]) -> None:

@@ -2,9 +2,10 @@
 
 The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
 bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
-type. Equal objects have equal bytes. The bytes do not depend on whether equal parts of an object
-are one shared object or several copies. ``object_from_plain_data`` creates only objects of
-registered types, so a log cannot create objects of other types.
+type. The plain values of equal objects are serialized to equal bytes. The bytes are the same
+whether an object contains one part twice or two equal copies of the part.
+``object_from_plain_data`` creates only objects of registered types, so a log cannot create objects
+of other types.
 """
 
 import enum

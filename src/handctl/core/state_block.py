@@ -8,8 +8,8 @@ the viewer and the next tick read the same numbers, because all of them read the
 ``state_tables`` returns the tables of the block by name, for compiled code. The module
 ``block_schema`` explains how code addresses a row of a table.
 
-The following list contains the axes of the tables. The capital letter or number after the name of
-an axis is the length of the axis:
+Each table of the state block has one or more of the following axes. The capital letter or number
+after the name of an axis is the length of the axis:
 
 - tendon, N. A motor has the same index as its tendon.
 - joint, J.

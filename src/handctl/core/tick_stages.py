@@ -293,7 +293,7 @@ def compute_motor_torques(
     constant_offsets: TableOffsets,
     relax_rate: float,
     open_loop: int,
-    ticks: int,
+    elapsed_periods: int,
 ) -> None:
     """Compute the motor torques of the tick, see ``computed_torque``.
 
@@ -304,18 +304,23 @@ def compute_motor_torques(
         constant_tables(constants, constant_offsets),
         relax_rate,
         open_loop,
-        ticks,
+        elapsed_periods,
     )
 
 
 @kernel_helper
 def _compute_motor_torques(
-    x: StateTables, c: ConstantTables, relax_rate: float, open_loop: int, ticks: int
+    x: StateTables, c: ConstantTables, relax_rate: float, open_loop: int, elapsed_periods: int
 ) -> None:
     """Compute the motor torques of the tick, see ``compute_motor_torques``."""
     if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
-            x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
+            x,
+            c,
+            digit_reference.joint_trajectories(x, c),
+            relax_rate,
+            open_loop == 1,
+            elapsed_periods,
         )
     else:
         computed_torque.command_zero_torque(x, c)
@@ -330,7 +335,7 @@ def evaluate_goals_and_torques(
     action: int,
     relax_rate: float,
     open_loop: int,
-    ticks: int,
+    elapsed_periods: int,
 ) -> int:
     """Evaluate the goals of all digits, and compute the motor torques of the tick.
 
@@ -345,7 +350,7 @@ def evaluate_goals_and_torques(
     c = constant_tables(constants, constant_offsets)
     unsolved_digits = _evaluate_goals(x, c, action)
     if unsolved_digits == 0:
-        _compute_motor_torques(x, c, relax_rate, open_loop, ticks)
+        _compute_motor_torques(x, c, relax_rate, open_loop, elapsed_periods)
     return unsolved_digits
 
 

@@ -43,7 +43,7 @@ FIGURE_CAPTIONS = {
 
 
 def items_as_json(items: Sequence[ErrataItem]) -> list[dict[str, Any]]:
-    """Return the items as plain values for JSON."""
+    """Return errata items as plain values for JSON."""
     return [
         {**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)}
         for item in items

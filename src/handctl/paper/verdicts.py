@@ -77,9 +77,9 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
 
 
 def verdict_of_ambiguous_statement(are_readings_true: Sequence[bool]) -> ErrataVerdict:
-    """Return the verdict on a statement that can be read in several ways.
+    """Return the verdict on a printed statement that has several possible meanings.
 
-    If one reading is true and a second reading is false, the verdict is undecidable.
+    If the statement is true with one meaning and false with another, the verdict is undecidable.
     """
     return (
         verdict_of_statement(all(are_readings_true))

@@ -6,7 +6,7 @@ The safety thresholds are computed from the drives, the sensors and the model of
 import math
 from dataclasses import dataclass
 
-LOAD_CELLS = "load cells"
+LOAD_CELL_NODE_NAME = "load cells"
 """Name of the sensor node in lists of nodes."""
 
 MAX_SILENCE_S = 0.030
@@ -89,4 +89,4 @@ class SafetyLimits:
     @property
     def node_names(self) -> tuple[str, ...]:
         """Return the names of all nodes: the motors, followed by one name for the load cells."""
-        return (*self.motors, LOAD_CELLS)
+        return (*self.motors, LOAD_CELL_NODE_NAME)

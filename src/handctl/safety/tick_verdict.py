@@ -103,9 +103,11 @@ def judge_tick(
     present_reports = []
     # A reported fault without a report in the present tick is dropped. If a dropped fault is
     # reported later, the count of its ticks starts at 1.
-    ticks_by_report = {(report.id, report.part_name): report.ticks for report in reported_faults}
+    tick_count_by_fault = {
+        (report.id, report.part_name): report.ticks for report in reported_faults
+    }
     for fault, location, value in locate_reports(event_reports):
-        ticks = ticks_by_report.get((fault.id, location), 0) + 1
+        ticks = tick_count_by_fault.get((fault.id, location), 0) + 1
         present_reports.append(ReportedFault(fault.id, location, ticks))
         if ticks >= fault.debounce_ticks:
             action = max(action, fault.action)

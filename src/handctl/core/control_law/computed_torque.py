@@ -212,7 +212,7 @@ def write_motor_torques(
     trajectory: Matrix,
     relax_rate: float,
     open_loop: bool,
-    ticks: int,
+    elapsed_periods: int,
 ) -> None:
     """Write the motor torques of the tick, and the state of the control law for the next tick.
 
@@ -224,7 +224,7 @@ def write_motor_torques(
             hand relaxes [N/s]. The value is 0 in all modes except the relaxing mode.
         open_loop: True if the motor forces of a relaxing hand are the envelope itself, without
             feedback.
-        ticks: number of control periods since the last tick, which is 1 if no tick was missed.
+        elapsed_periods: number of control periods since the last tick, which is 1 if no tick was missed.
     """
     begin_servo_commands(x, c)
     limit = temporary_tension_limits(x, c)
@@ -262,7 +262,12 @@ def write_motor_torques(
         command_force = _limited_force(c, n, force, tension_limit)
         if relax_rate > 0.0:
             command_force = _force_during_relaxation(
-                x, c, n, command_force, _relaxation_envelope(x, c, n, relax_rate, ticks), open_loop
+                x,
+                c,
+                n,
+                command_force,
+                _relaxation_envelope(x, c, n, relax_rate, elapsed_periods),
+                open_loop,
             )
         _write_force_for_tension_filter(x, c, n, command_force, carried_acceleration)
         x.tendon[s.COMMANDED_TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
@@ -534,7 +539,7 @@ def _take_up_slack(
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the position feedback would pay out a slack tendon.
 
-    For motions along streamed angles, the result is False. No measurement corrects the estimated
+    If the digit follows streamed angles, the result is False. No measurement corrects the estimated
     excursion of a slack tendon. If the estimated excursion is too large, the position feedback
     would pay out more and more of the tendon. In a digit with more tendons than coordinates, the
     excursion of a slack tendon follows from the other tendons.
@@ -740,14 +745,14 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _relaxation_envelope(
-    x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
+    x: StateTables, c: ConstantTables, n: int, rate: float, elapsed_periods: int
 ) -> float:
     """Return the largest motor force while the hand relaxes [N], see ``controller.relaxation``."""
     last_force = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last_force = abs(last_force)
     last_force = 0.0 if math.isnan(last_force) else max(last_force, 0.0)
-    lowered_limit = max(last_force - rate * c.run[h.CONTROL_PERIOD] * ticks, 0.0)
+    lowered_limit = max(last_force - rate * c.run[h.CONTROL_PERIOD] * elapsed_periods, 0.0)
     return (
         max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit)
         * ENVELOPE_ROUNDING_FACTOR

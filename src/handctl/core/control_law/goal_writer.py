@@ -1,6 +1,6 @@
 """Transfer of the goals of all digits into the state block.
 
-The state block needs a new transfer only after a goal of a digit has changed.
+The goals must be transferred again only after a goal of a digit has changed.
 """
 
 import functools

@@ -44,8 +44,8 @@ def raise_goals_to_tension_floor(
     The position feedback can reduce the force on a tendon to less than the tension floor. A
     multiple of the balance tensions, which make no joint torque, is added to the tension goals of
     all tendons of the digit. The tension limits, and ``MAX_ADDED_BALANCE_TENSION_N``, limit the
-    added balance tensions. If larger balance tensions would be necessary, the position feedback is
-    reduced.
+    added balance tensions. If the limited balance tensions are too small for the tension floor, the
+    position feedback is reduced.
 
     Args:
         x: state tables.

@@ -135,8 +135,8 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
     """Return the mean force that the speed error causes in a drive's position loop [N].
 
-    The mean is taken over the coming control period. Within a control period, the speed error
-    increases the position error, on average by the speed error times half a control period.
+    The result is the mean force over the coming control period. Within a control period, the speed
+    error increases the position error, on average by the speed error times half a control period.
 
     Args:
         x: state tables.

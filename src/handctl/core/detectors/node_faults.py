@@ -36,17 +36,17 @@ from handctl.safety.faults.node import (
     N16_PULL_AFTER_CUT,
     N17_EXCHANGED_TORQUE_REPORTS,
     OSCILLATION_DURATION_S,
-    PULL_AFTER_CUT_FRACTION,
-    PULL_AFTER_CUT_N,
-    PULL_AFTER_CUT_TIME_S,
     RELEASED_SPOOL_TRAVEL_M,
-    REPORTED_PULL_AFTER_CUT_N,
+    REPORTED_FORCE_AFTER_CUT_N,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
     STUCK_SENSOR_GOAL_CHANGE_M,
     STUCK_SENSOR_JOINT_CHANGE_DEG,
     STUCK_SENSOR_TENSION_CHANGE_N,
     STUCK_SENSOR_TIME_S,
+    TENSION_AFTER_CUT_FRACTION,
+    TENSION_AFTER_CUT_N,
+    TENSION_AFTER_CUT_TIME_S,
     TORQUE_DIFFERENCE_LIMIT_FRACTION,
     TORQUE_DIFFERENCE_LIMIT_N,
 )
@@ -232,14 +232,14 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     The tension is visible in the load-cell reading or in the torque that the drive reports. A
     tendon can still be taut after its spool has paid it out, but then the motor no longer pulls.
     """
-    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < PULL_AFTER_CUT_TIME_S:
+    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < TENSION_AFTER_CUT_TIME_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
         if (
-            tension > PULL_AFTER_CUT_N
+            tension > TENSION_AFTER_CUT_N
             and not _has_spool_paid_out(x, c, n)
-            and tension > PULL_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
+            and tension > TENSION_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16_PULL_AFTER_CUT, n] = tension
         elif _reports_torque_after_cut(x, c, n):
@@ -268,5 +268,5 @@ def _reports_torque_after_cut(x: StateTables, c: ConstantTables, n: int) -> bool
     reported_force = abs(x.tendon[s.MEASURED_FORCE, n])
     # A drive that reports its torque in large steps can report one step although it makes no
     # torque.
-    threshold = REPORTED_PULL_AFTER_CUT_N + c.tendon[h.TORQUE_STEP, n]
-    return reported_force > threshold and reported_force > PULL_AFTER_CUT_FRACTION * last_force
+    threshold = REPORTED_FORCE_AFTER_CUT_N + c.tendon[h.TORQUE_STEP, n]
+    return reported_force > threshold and reported_force > TENSION_AFTER_CUT_FRACTION * last_force

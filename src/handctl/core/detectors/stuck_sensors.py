@@ -4,12 +4,11 @@ A reading is stuck if it stays constant although another measurement shows that 
 quantity changes.
 
 The other measurement is called the reference of the sensor. While the reference of a sensor is
-constant, a constant reading of the sensor does not count as a fault. The reading of a motor encoder
-is compared with two references: the goal of the tendon's excursion, and the tension of the tendon.
-The reference of a load cell is the range of the motor force since the last change of the reading.
-The range shows a change even if the tension loop first raises the motor force and then lowers it
-again. The reference of a joint encoder is the joint angle that is computed from the positions of
-the spools.
+constant, a constant reading of the sensor does not count as a fault. A motor encoder has two
+references: the goal of the tendon's excursion, and the tension of the tendon. The reference of a
+load cell is the range of the motor force since the last change of the reading. The range shows a
+change even if the tension loop first raises the motor force and then lowers it again. The reference
+of a joint encoder is the joint angle that is computed from the positions of the spools.
 """
 
 import math

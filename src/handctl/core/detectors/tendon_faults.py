@@ -32,7 +32,7 @@ from handctl.safety.faults.tendon import (
     SLACK_TRIP_S,
     SLACK_WARN_S,
     SNAP_MIN_COMMAND_N,
-    SNAP_SPOOL_SPEED,
+    SNAP_SPOOL_SPEED_M_PER_S,
     SNAP_SPOOL_SPEED_WITHOUT_CELL,
     SNAP_TENSION_FRACTION,
     STUCK_CELL_FORCE_RANGE_N,
@@ -154,10 +154,10 @@ def _snapped_speed_threshold(
         v = ((1 + K) f - c) / K_v.
 
     For a small commanded tension, such as that of an extensor in a grasp, the speed v is below
-    ``SNAP_SPOOL_SPEED``. If v is below ``SNAP_SPOOL_SPEED``, the threshold is a fraction of v. In a
-    motion, the spool of a torn tendon has no final speed, because the position feedback also moves
-    the spool. In a stream of tensions, the spool has no final speed either, because the targets can
-    change in every tick.
+    ``SNAP_SPOOL_SPEED_M_PER_S``. If v is below ``SNAP_SPOOL_SPEED_M_PER_S``, the threshold is a
+    fraction of v. In a motion, the spool of a torn tendon has no final speed, because the position
+    feedback also moves the spool. In a stream of tensions, the spool has no final speed either,
+    because the targets can change in every tick.
 
     For a tendon without load cell, the tension is an estimate that follows the commanded tension
     with a delay. The threshold for a tendon without a load cell is larger. Without a load cell, two
@@ -179,14 +179,14 @@ def _snapped_speed_threshold(
         or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
         or is_target_stream_running(x)
     ):
-        return SNAP_SPOOL_SPEED
+        return SNAP_SPOOL_SPEED_M_PER_S
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
         h.MOTOR_COULOMB_FRICTION, n
     ]
     # The comparison has no division, because the damping can be zero.
-    if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
-        return SNAP_SPOOL_SPEED
+    if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED_M_PER_S * damping:
+        return SNAP_SPOOL_SPEED_M_PER_S
     return max(FREE_SPOOL_SPEED_FRACTION * force / damping, MIN_SNAP_SPOOL_SPEED)
 
 

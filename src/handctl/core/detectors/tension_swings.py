@@ -29,18 +29,18 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 def update_tension_swing(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
     period = c.run[h.CONTROL_PERIOD]
-    slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
-    mean_fraction = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
+    slow_sample_weight = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
+    mean_square_sample_weight = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
         fast_deviation = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
         if are_cells_tared and not math.isnan(deviation):
-            x.tendon[s.SLOW_TENSION_DEVIATION, n] += slow_fraction * (
+            x.tendon[s.SLOW_TENSION_DEVIATION, n] += slow_sample_weight * (
                 deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
             )
             fast_deviation = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
         # A missing reading counts as a tension error of 0.
-        x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] += mean_fraction * (
+        x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] += mean_square_sample_weight * (
             fast_deviation * fast_deviation - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
         )
         is_oscillating = x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] > square(OSCILLATION_RMS_N)

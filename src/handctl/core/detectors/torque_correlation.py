@@ -240,8 +240,9 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     earlier than the low-passed difference alone, for example if two drives are exchanged.
 
     The test covers only motors of tendons without a load cell. If a tendon has a load cell, another
-    detector finds a wrong force. On a busy computer, a reply can be older than three ticks, so the
-    test is used only if three ticks take at least ``MIN_COMMAND_WINDOW_S``.
+    detector finds a wrong force. On a busy computer, a reply of a drive can be older than the last
+    three commands. Therefore a report is compared with the last three commands only if three ticks
+    take at least ``MIN_COMMAND_WINDOW_S``.
 
     A drive that closes its position loop is not tested, because such a drive gets no torque
     commands. A drive that sends its torque in a separate frame is not tested either, because the

@@ -10,10 +10,10 @@ filter. The force of a contact remains after the low-pass filter. The alternatin
 chattering tendon cancels out in the low-pass filter.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
-negative and hides a contact. A contact force grows faster than the error of a wrong model. To
-correct the error, an average of the tip force is subtracted while the average is negative. If the
-reading of a load cell drifts, the tip force is positive during the whole closing motion. To correct
-the drift, a positive average of the tip force over a long time is subtracted.
+negative and hides a contact. A contact force changes faster than the tip-force error that a wrong
+model causes. To correct this error, an average of the tip force is subtracted while the average is
+negative. If the reading of a load cell drifts, the tip force is positive during the whole closing
+motion. To correct the drift, a positive average of the tip force over a long time is subtracted.
 
 The excursion of a tendon is the tendon length on the spool minus the stretch of the tendon. While a
 digit holds an object, the excursion is known to a few micrometres. If the object pushes the digit

@@ -180,8 +180,8 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
-    While the covariance is propagated, return the propagated covariance. While the covariance is
-    not propagated, return the constant covariance of the filter design.
+    While the covariance is propagated from tick to tick, the result is the propagated covariance.
+    Otherwise, the result is the constant covariance of the filter design.
     """
     P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:

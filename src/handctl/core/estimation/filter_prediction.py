@@ -27,11 +27,13 @@ def predict_filter_states(
         missed_ticks: ticks missed before the present tick.
     """
     n = model.tendon_count
-    first_place = layout.start("tendon")
-    states = block[first_place : first_place + 7 * n]
-    inputs = block[first_place + 7 * n : first_place + 9 * n]
-    first_kind = layout.start("tendon_int") + n * s.FILTER_KIND
-    F, B = model.filter_design.transition(block[first_kind : first_kind + n].tobytes())
+    first_element = layout.start("tendon")
+    states = block[first_element : first_element + 7 * n]
+    inputs = block[first_element + 7 * n : first_element + 9 * n]
+    first_kind_element = layout.start("tendon_int") + n * s.FILTER_KIND
+    F, B = model.filter_design.transition(
+        block[first_kind_element : first_kind_element + n].tobytes()
+    )
     x = predict_steadystate(states, F, inputs, B)
     if missed_ticks:
         constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))

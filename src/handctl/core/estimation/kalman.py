@@ -118,8 +118,8 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     """Correct the filter by the measurements of a tick, and judge the regime of each tendon.
 
     The regime depends on three conditions: the tendon is slack, the digit is on its open stop, or
-    the digit is in contact. The tendons of a digit in planned contact, and of a blocked digit,
-    count as held, see ``is_in_contact``.
+    the digit is in contact. A taut tendon is in the regime ``HELD`` if its digit is in planned
+    contact or blocked (see ``is_in_contact``), or on its open stop.
 
     Args:
         x: state tables.

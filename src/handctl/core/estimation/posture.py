@@ -155,10 +155,10 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     causes [rad], and the standard deviation of this rotation.
 
     The result has the shape (2 H + 2, J) for H assumed places of contact. A row belongs to one
-    source of error, and contains the deviation of each joint angle that this source causes. The
-    covariance of two angles is the sum of the products of their deviations over all rows. The
-    levers of the contact forces are computed at the joint angles of the last estimate. Each tick is
-    thus one step of a fixed-point iteration.
+    source of error, and contains the deviation of each joint angle that this source causes. To get
+    the covariance of two joint angles, multiply their deviations in each row, and add the products
+    of all rows. The levers of the contact forces are computed at the joint angles of the last
+    estimate. Each tick is thus one step of a fixed-point iteration.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]

@@ -276,7 +276,8 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the fraction of the load-cell tension that reaches the joints while the tendon is wound up.
 
     The result is a mean over the pulleys of the tendon, weighted by the moment arms. While the
-    tendon is paid out, the fraction that reaches the joints is about the reciprocal of this result.
+    tendon is paid out, the tension at the joints divided by the load-cell tension is about the
+    reciprocal of the result.
 
     Args:
         c: constants of the hand.

@@ -3,8 +3,8 @@
 The tables with moment arms are computed for the present joint angles. Filter, control law and
 allocation use the linear relation q = B (R B)^+ s between joint angles q and excursions s. R are
 the moment arms, and B is the coupling of the joints. For a digit with varying moment arms, the
-module ``constants`` has tables that depend on R. These tables are evaluated at angles q0 = B theta,
-the angles of a free digit at which the modelled excursions e(q0) equal s.
+module ``constants`` has tables that depend on R. The tables that depend on R are evaluated at the
+angles q0 = B theta. At q0, a free digit has the modelled excursions e(q0) = s.
 
 Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If all moment
 arms of a digit are constant, the offset of the linear relation is 0, and the tables with moment
@@ -247,9 +247,9 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
 
 @kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write three more tables of a digit that depend on its present moment arms R.
+    """Write the pulley weights, the torques ``POSTURE_TORQUE`` and the balance tensions of a digit.
 
-    The tables contain the pulley weights, the torques ``POSTURE_TORQUE``, and the balance tensions.
+    The function computes all three tables from the digit's present moment arms R.
     """
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         total = 0.0

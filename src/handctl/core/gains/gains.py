@@ -1,10 +1,11 @@
 """Gains of the controller: values that can be tuned, with units, bounds and defaults.
 
 With the default gains, the motion and tension loops of the Jamia hands have a gain margin of at
-least 6 dB and a phase margin of at least 45 degrees. Both margins hold at control rates of 500 Hz
-(jamia) and 200 Hz (jamia11 on a single bus). Both margins hold for the plant of the hand file, and
-for random variants of the plant. If a packaged hand does not have these margins with the default
-gains, the folder ``packaged`` contains a gains file for the hand.
+least 6 dB and a phase margin of at least 45 degrees. The margins of the default gains hold at
+control rates of 500 Hz (jamia) and 200 Hz (jamia11 on a single bus). The gain margin and the phase
+margin hold for the plant of the hand file, and for random variants of the plant. If a packaged hand
+does not have these margins with the default gains, the folder ``packaged`` contains a gains file
+for the hand.
 """
 
 from pathlib import Path

@@ -41,7 +41,7 @@ LINEAR_TENSION_RANGE_N = (30.0, 150.0)
 
 A straight line through the linear range of a curve gives the origin of the curve.
 """
-MAX_NOISE_RESIDUAL = 1.2
+MAX_RESIDUAL_TO_NOISE_RATIO = 1.2
 """Largest residual at which a curve counts as linear [standard deviations of the load-cell noise]."""
 
 
@@ -152,7 +152,7 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
         (None, 0.0)
-        if residual <= MAX_NOISE_RESIDUAL * noise_N
+        if residual <= MAX_RESIDUAL_TO_NOISE_RATIO * noise_N
         else _fit_knee(displacement, force, float(slope))
     )
     return TendonCurve(

@@ -35,14 +35,14 @@ class Expression:
     text: str
 
     @property
-    def tree(self) -> ast.expr:
+    def syntax_tree(self) -> ast.expr:
         """Return the syntax tree of the formula."""
         return ast.parse(self.text, mode="eval").body
 
     @property
     def quantity_names(self) -> frozenset[str]:
         """Return the names of the quantities in the formula, without the names of functions."""
-        names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
+        names = {node.id for node in ast.walk(self.syntax_tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
     def evaluate(self, values_by_symbol: Mapping[str, Any]) -> Any:
@@ -53,7 +53,7 @@ class Expression:
         Raises:
             KeyError: no value is given for a name.
         """
-        return _value_of_node(self.tree, values_by_symbol)
+        return _value_of_node(self.syntax_tree, values_by_symbol)
 
     def dimension(self, dimension_of_symbol: Mapping[str, Dimension]) -> Dimension:
         """Return the physical dimension of the formula.
@@ -61,11 +61,11 @@ class Expression:
         Raises:
             DimensionError: the formula has no consistent dimension.
         """
-        return _dimension_of_node(self.tree, dimension_of_symbol)
+        return _dimension_of_node(self.syntax_tree, dimension_of_symbol)
 
     def as_typeset_text(self) -> str:
         """Return the formula as text with mathematical symbols and without multiplication signs, for example θ̇₁²."""
-        return _typeset_text(self.tree)[0]
+        return _typeset_text(self.syntax_tree)[0]
 
 
 FUNCTION_BY_NAME: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}

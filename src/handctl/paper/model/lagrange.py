@@ -3,7 +3,7 @@
 The correct terms follow from Lagrange's equations.
 
 All derivatives are calculated with complex steps. Complex-step derivatives are exact except for
-rounding errors. No derivative has to be derived by hand.
+rounding errors, and need no formulas derived by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -305,5 +305,8 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
 
 
 def printed_equation_value(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the value of a printed equation. An ambiguous term contributes the value of its first reading."""
+    """Return the value of a printed equation.
+
+    If a printed term has several possible meanings (``readings``), the first meaning is used.
+    """
     return sum(term.readings[0].evaluate(states) for term in terms)

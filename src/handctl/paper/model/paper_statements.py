@@ -78,7 +78,7 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 def _check_palm_joint() -> ErrataItem:
     """Check the statement in section 3 of the paper that the joint in the palm link is fixed.
 
-    The words of the paper can mean the first joint of a finger, or the palm itself.
+    In the paper, the fixed joint can be the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {

@@ -14,7 +14,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
-from handctl.safety.safety_limits import LOAD_CELLS, MAX_SILENCE_S, MIN_SILENT_TICKS
+from handctl.safety.safety_limits import LOAD_CELL_NODE_NAME, MAX_SILENCE_S, MIN_SILENT_TICKS
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20
@@ -54,7 +54,7 @@ _SILENCE_CONDITION_TEXT = (
     f"for {MAX_SILENCE_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
 )
 
-declare_catalogue_row("B01", "one frame lost", ticks=2, required=2)
+declare_catalogue_row("B01", "one frame lost", ticks=2, required_ticks=2)
 B01_MISSING_REPLY = declare_fault(
     "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", SafetyAction.WARN,
     CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
@@ -63,7 +63,7 @@ B01_MISSING_REPLY = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row(
-    "B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_TIME_REASON
+    "B02", "several frames in a row lost", ticks=1, ms=30, required_ticks=5, why=SILENCE_TIME_REASON
 )
 B02_SILENT_MOTOR = declare_fault(
     "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION_TEXT}", SafetyAction.RELAX,
@@ -73,7 +73,7 @@ B02_SILENT_MOTOR = declare_fault(
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
 )  # fmt: skip
 
-declare_catalogue_row("B03", "intermittent loss", ticks=102, required=102)
+declare_catalogue_row("B03", "intermittent loss", ticks=102, required_ticks=102)
 B03A_LOST_REPLIES = declare_fault(
     "B03a", "replies are being lost",
     f"More than {LOST_FRAMES_FOR_HOLD} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
@@ -98,17 +98,17 @@ declare_catalogue_row(
     _MISSING_COUNTER_TEXT,
     _MISSING_COUNTER_TEXT,
     ticks=4,
-    required=4,
+    required_ticks=4,
 )
 B04_DELAYED_FRAME = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
-    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELL_NODE_NAME,
     cause="The sensor node or a gateway on the bus holds frames back.",
     remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
 
 declare_catalogue_row(
-    "B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
+    "B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required_ticks=2
 )
 B05_DUPLICATE_FRAME = declare_fault(
     "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
@@ -118,7 +118,7 @@ B05_DUPLICATE_FRAME = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row(
-    "B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
+    "B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required_ticks=2
 )
 B06_CONFLICTING_FRAMES = declare_fault(
     "B06", "a conflicting duplicate frame",
@@ -136,11 +136,11 @@ declare_catalogue_row(
     _WRONG_ORDER_TEXT,
     _WRONG_ORDER_TEXT,
     ticks=2,
-    required=2,
+    required_ticks=2,
 )
 B07_WRONG_FRAME_ORDER = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
-    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELL_NODE_NAME,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip
@@ -153,7 +153,7 @@ declare_catalogue_row(
     _MISSING_CHECKSUM_TEXT,
     _MISSING_CHECKSUM_TEXT,
     ticks=4,
-    required=4,
+    required_ticks=4,
 )
 B08_CORRUPT_PAYLOADS = declare_fault(
     "B08", "corrupt payloads",
@@ -163,7 +163,7 @@ B08_CORRUPT_PAYLOADS = declare_fault(
     remedy="Check protocol option and firmware of the node in the hand file. Replace the node if it continues.",
 )  # fmt: skip
 
-declare_catalogue_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
+declare_catalogue_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required_ticks=2)
 B09_MALFORMED_FRAME = declare_fault(
     "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
@@ -171,7 +171,7 @@ B09_MALFORMED_FRAME = declare_fault(
     remedy="Check the motor's protocol and options in the hand file against handctl scan.",
 )  # fmt: skip
 
-declare_catalogue_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
+declare_catalogue_row("B10", "unknown identifiers", ticks=2, ms=51, required_ticks=2,
     why="51 unknown frames within a second are the limit. With one frame per millisecond this takes 51 ms")  # fmt: skip
 B10_UNKNOWN_IDENTIFIERS = declare_fault(
     "B10", "unknown identifiers on the bus",
@@ -181,7 +181,7 @@ B10_UNKNOWN_IDENTIFIERS = declare_fault(
     remedy="Compare handctl scan with the hand file. Move other devices to a bus of their own.",
 )  # fmt: skip
 
-declare_catalogue_row("B11", "babbling idiot", ticks=3, required=3)
+declare_catalogue_row("B11", "babbling idiot", ticks=3, required_ticks=3)
 B11A_FLOODED_BUS = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=2, name="bus",
@@ -197,7 +197,7 @@ B11B_LASTING_FLOOD = declare_fault(
     remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
 
-declare_catalogue_row("B12", "bus off", ticks=1, required=1)
+declare_catalogue_row("B12", "bus off", ticks=1, required_ticks=1)
 declare_fault(
     "B12", "bus off", "The interface reports bus-off", SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("bus_off",),
     cause="A short circuit, a wrong bit rate or the lack of other nodes caused too many errors, and the interface "
@@ -205,7 +205,7 @@ declare_fault(
     remedy="Check cable, termination and bit rate, then bring the interface up again (handctl bus doctor says how).",
 )  # fmt: skip
 
-declare_catalogue_row("B13", "error-warning, error-passive", ticks=21, required=21)
+declare_catalogue_row("B13", "error-warning, error-passive", ticks=21, required_ticks=21)
 declare_fault(
     "B13a", "errors on the bus", "The interface reports error-warning or error-passive",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("error_warning", "error_passive"),
@@ -219,7 +219,7 @@ declare_fault(
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
 
-declare_catalogue_row("B14", "interface down", ticks=1, required=1)
+declare_catalogue_row("B14", "interface down", ticks=1, required_ticks=1)
 declare_fault(
     "B14", "the CAN interface is down", "The interface is down",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enetdown",),
@@ -227,7 +227,7 @@ declare_fault(
     remedy="Bring the interface up again (handctl bus doctor prints the command), then start a new run.",
 )  # fmt: skip
 
-declare_catalogue_row("B15", "send queue full", ticks=3, required=3)
+declare_catalogue_row("B15", "send queue full", ticks=3, required_ticks=3)
 declare_fault(
     "B15", "the send queue is full", "The interface refuses frames in two ticks",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=2, reports=("enobufs",),
@@ -235,7 +235,7 @@ declare_fault(
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
 
-declare_catalogue_row("B16", "adapter unplugged", ticks=1, required=1)
+declare_catalogue_row("B16", "adapter unplugged", ticks=1, required_ticks=1)
 declare_fault(
     "B16", "the CAN adapter is unplugged", "The interface no longer exists",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enodev", "ebadf"),
@@ -247,7 +247,7 @@ declare_catalogue_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
     f"{INDIRECTLY_VISIBLE}: no reply for four ticks while others reply",
     f"{INDIRECTLY_VISIBLE}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
     f"{INDIRECTLY_VISIBLE}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
-    ticks=4, odrive_extra_ms=160, required=4)  # fmt: skip
+    ticks=4, odrive_extra_ms=160, required_ticks=4)  # fmt: skip
 B17_DEAF_NODES = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",

@@ -45,7 +45,7 @@ CHECKED_BY_FAULT_TABLE = "fault table"
 CHECKED_BEFORE_ARMING = "before arming"
 CHECKED_BY_DRIVE = "the drive itself"
 CHECKED_BY_CONTROL_LOOP = "loop and recorder"
-CHECKED_IN_FILES = "files"
+CHECKED_BY_FILE_READERS = "files"
 """Parts of handctl that check a row of the catalogue."""
 
 
@@ -65,10 +65,10 @@ class CatalogueRow(NamedTuple):
             reaction time is the sum of ``ticks`` and ``ms``.
         odrive_extra_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
-        required: reaction time that the project's fault catalogue requires with an ideal drive
+        required_ticks: reaction time that the project's fault catalogue requires with an ideal drive
             [ticks of 5 ms]. The value is 0 if the catalogue gives no reaction time, for example for
             a fault before any torque.
-        why: the reason why ``ticks`` is larger than ``required``, or an empty text.
+        why: the reason why ``ticks`` is larger than ``required_ticks``, or an empty text.
         tested_by: ``campaign``, or the name of the test that covers the fault.
         moteus: visibility with moteus. The text is empty if the visibility equals ``mit``, because
             both protocols answer each command once.
@@ -87,7 +87,7 @@ class CatalogueRow(NamedTuple):
     ticks: int = 0
     ms: float = 0.0
     odrive_extra_ms: float = 0.0
-    required: int = 0
+    required_ticks: int = 0
     why: str = ""
     tested_by: str = "campaign"
     moteus: str = ""

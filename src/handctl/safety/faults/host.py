@@ -4,7 +4,7 @@ from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_CONTROL_LOOP,
     CHECKED_BY_DRIVE,
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     CLEARED_BY_ITSELF,
     CLEARED_BY_OPERATOR,
     FAULT_PLACE_HAND,
@@ -25,7 +25,7 @@ FOREIGN_CONTROLLER_EVENT = "foreign"
 _WALL_CLOCK_TEXT = f"{VISIBLE_FAULT}: nothing uses the wall clock"
 _NO_CONNECTION_TEXT = f"{VISIBLE_FAULT}: not connected to the loop"
 
-declare_catalogue_row("H01", "one late tick", ticks=1, required=1)
+declare_catalogue_row("H01", "one late tick", ticks=1, required_ticks=1)
 H01_LATE_TICK = declare_fault(
     "H01", "a late tick", "A tick began later than a quarter of a period after its time",
     SafetyAction.PASS, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="loop",
@@ -33,7 +33,7 @@ H01_LATE_TICK = declare_fault(
     remedy="Ignore single cases. If it repeats, run handctl doctor.",
 )  # fmt: skip
 
-declare_catalogue_row("H02", "a missed tick", ticks=1, required=1)
+declare_catalogue_row("H02", "a missed tick", ticks=1, required_ticks=1)
 H02_MISSED_TICK = declare_fault(
     "H02", "a missed tick", "At least one tick did not run", SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND,
     name="loop",
@@ -41,7 +41,7 @@ H02_MISSED_TICK = declare_fault(
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
 
-declare_catalogue_row("H03", "three or more ticks missed", ticks=1, required=1)
+declare_catalogue_row("H03", "three or more ticks missed", ticks=1, required_ticks=1)
 H03_STALLED_HOST = declare_fault(
     "H03", "the host stalled", f"For {MAX_STALL_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="loop",
@@ -50,7 +50,7 @@ H03_STALLED_HOST = declare_fault(
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip
 
-declare_catalogue_row("H04", "suspend", ticks=1, required=1)
+declare_catalogue_row("H04", "suspend", ticks=1, required_ticks=1)
 declare_fault(
     "H04", "the host was suspended", "CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, because the host was asleep",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, reports=("suspended",),
@@ -59,22 +59,22 @@ declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("H05", "the controller is killed", CHECKED_BY_DRIVE,
-    odrive=f"{VISIBLE_FAULT}: if its watchdog is on, which is read back with endpoints", ms=54, required=3,
+    odrive=f"{VISIBLE_FAULT}: if its watchdog is on, which is read back with endpoints", ms=54, required_ticks=3,
     why="watchdog_ms of the hand file is 50 ms from the last command, and the current decays in 4 ms",
     tested_by="tests/runtime/test_killed.py")  # fmt: skip
 declare_catalogue_row(
-    "H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_CONTROL_LOOP, ticks=1, required=1
+    "H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_CONTROL_LOOP, ticks=1, required_ticks=1
 )
 declare_catalogue_row(
     "H07",
     "exception in the loop",
     CHECKED_BY_CONTROL_LOOP,
     ticks=1,
-    required=1,
+    required_ticks=1,
     tested_by="tests/runtime/test_loop.py",
 )
 
-declare_catalogue_row("H08", "disk full", ticks=1, required=200)
+declare_catalogue_row("H08", "disk full", ticks=1, required_ticks=200)
 declare_fault(
     "H08", "the disk is full", "The log could not be written",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
@@ -82,7 +82,7 @@ declare_fault(
     remedy="Free space, or write the log to another disk (--log). The hand continues without a log.",
 )  # fmt: skip
 
-declare_catalogue_row("H09", "recorder stalls", ticks=1, required=640)
+declare_catalogue_row("H09", "recorder stalls", ticks=1, required_ticks=640)
 declare_fault(
     "H09", "log records were dropped", "The recorder is slower than the controller",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:dropped", "recorder:filling"),
@@ -90,7 +90,7 @@ declare_fault(
     remedy="Write the log to a faster disk, and run handctl doctor.",
 )  # fmt: skip
 
-declare_catalogue_row("H10", "recorder dies", ticks=1, required=1)
+declare_catalogue_row("H10", "recorder dies", ticks=1, required_ticks=1)
 declare_fault(
     "H10", "the recorder is lost", "The recorder process or its disk no longer exists",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:gone", "recorder:error"),
@@ -114,7 +114,7 @@ declare_catalogue_row(
     tested_by="tests/runtime/test_mailbox.py",
 )
 
-declare_catalogue_row("H13", "second controller, same bus", ticks=2, required=2)
+declare_catalogue_row("H13", "second controller, same bus", ticks=2, required_ticks=2)
 declare_fault(
     "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN_CONTROLLER_EVENT,),
@@ -137,32 +137,35 @@ declare_catalogue_row(
 declare_catalogue_row(
     "I01",
     "NaN, inf, bool for number",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
     "I02",
     "negative mass, zero length",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
-    "I03", "wrong unit", CHECKED_IN_FILES, tested_by="tests/hand/test_hand_file_refusals.py"
+    "I03", "wrong unit", CHECKED_BY_FILE_READERS, tested_by="tests/hand/test_hand_file_refusals.py"
 )
 declare_catalogue_row(
     "I04",
     "unknown, missing, duplicate keys",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
 declare_catalogue_row(
-    "I05", "contradiction", CHECKED_IN_FILES, tested_by="tests/hand/test_cross_checks.py"
+    "I05", "contradiction", CHECKED_BY_FILE_READERS, tested_by="tests/hand/test_cross_checks.py"
 )
 declare_catalogue_row(
-    "I06", "bad trajectory", CHECKED_IN_FILES, tested_by="tests/controller/test_task_files.py"
+    "I06",
+    "bad trajectory",
+    CHECKED_BY_FILE_READERS,
+    tested_by="tests/controller/test_task_files.py",
 )
 
-declare_catalogue_row("I07", "bad live goal", ticks=1, required=2)
+declare_catalogue_row("I07", "bad live goal", ticks=1, required_ticks=2)
 I07A_REFUSED_REQUEST = declare_fault(
     "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="goal",
@@ -178,17 +181,22 @@ I07B_MALFORMED_REQUESTS = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row(
-    "I08", "truncated or corrupt log", CHECKED_IN_FILES, tested_by="tests/log/test_recover.py"
+    "I08",
+    "truncated or corrupt log",
+    CHECKED_BY_FILE_READERS,
+    tested_by="tests/log/test_recover.py",
 )
-declare_catalogue_row("I09", "hostile log", CHECKED_IN_FILES, tested_by="tests/log/test_reader.py")
+declare_catalogue_row(
+    "I09", "hostile log", CHECKED_BY_FILE_READERS, tested_by="tests/log/test_reader.py"
+)
 declare_catalogue_row(
     "I10",
     "log of another hand or version",
-    CHECKED_IN_FILES,
+    CHECKED_BY_FILE_READERS,
     tested_by="tests/replay/test_execute.py",
 )
 
-declare_catalogue_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
+declare_catalogue_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required_ticks=0,
     tested_by="tests/controller/test_target_streams.py")  # fmt: skip
 I11A_MISSING_TARGETS = declare_fault(
     "I11a", "streamed targets are missing",

@@ -40,8 +40,8 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
     For each failure and each drive protocol, the table states how well handctl can see the failure.
-    With some protocols, handctl detects the failure itself. With others, handctl sees only a weaker
-    sign of the failure (``replaced``), or nothing (``lost``).
+    With some protocols, handctl detects the failure directly. With other protocols, handctl detects
+    only a weaker sign of the failure (``replaced``), or cannot detect the failure (``lost``).
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
@@ -87,7 +87,7 @@ def reacts_too_late(row: CatalogueRow) -> bool:
 
     If the project's fault catalogue requires no reaction time for the failure, the result is False.
     """
-    return 0 < row.required < _max_reaction_ticks(row)
+    return 0 < row.required_ticks < _max_reaction_ticks(row)
 
 
 def late_reactions_markdown(catalogue_rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
@@ -97,8 +97,8 @@ def late_reactions_markdown(catalogue_rows: tuple[CatalogueRow, ...] = FAULT_CAT
     states the reason for each late reaction.
     """
     table_rows = [
-        f"| {row.id} | {row.title} | {row.required} | {_max_reaction_ticks(row)} "
-        f"| {row.required * CATALOGUE_PERIOD_MS:g} ms "
+        f"| {row.id} | {row.title} | {row.required_ticks} | {_max_reaction_ticks(row)} "
+        f"| {row.required_ticks * CATALOGUE_PERIOD_MS:g} ms "
         f"| {row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {row.why} |"
         for row in catalogue_rows
         if reacts_too_late(row)

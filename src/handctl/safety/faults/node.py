@@ -76,17 +76,17 @@ HALF_RATE_LOSS_COUNT = 7
 A slow node replies at half the control rate. Two replies in a row are missing when the time between
 the start of a tick and the reply drifts past a control period.
 """
-PULL_AFTER_CUT_TIME_S = 0.1
-PULL_AFTER_CUT_FRACTION = 0.5
-PULL_AFTER_CUT_N = 10.0
-REPORTED_PULL_AFTER_CUT_N = 1.0
-"""Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
+TENSION_AFTER_CUT_TIME_S = 0.1
+TENSION_AFTER_CUT_FRACTION = 0.5
+TENSION_AFTER_CUT_N = 10.0
+REPORTED_FORCE_AFTER_CUT_N = 1.0
+"""Thresholds for a tendon that is still taut after a cut: time [s], fraction of the tension at the cut, tension [N].
 
 The last threshold is for the motor force that the drive reports. The resolution of the reported
 force is added to this threshold. A drive without torque reports less than 0.1 N in simulation, and
 the reading of a load cell drifts by newtons.
 
-``PULL_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
+``TENSION_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
 third of their tension if the motor is off, and at least 0.74 of their tension if the motor still
 pulls.
 """
@@ -114,7 +114,7 @@ _SETTINGS_RECHECK_REASON = "While enabled, limit and watchdog are read in turn, 
 _SILENCE_CONDITION_TEXT = f"for {MAX_SILENCE_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
 _MODES_TEST_FILE = "tests/controller/test_controller_modes.py"
 
-declare_catalogue_row("N01", "reset in motion", odrive=_HEARTBEAT_TEXT, ticks=4, odrive_extra_ms=100, required=2,
+declare_catalogue_row("N01", "reset in motion", odrive=_HEARTBEAT_TEXT, ticks=4, odrive_extra_ms=100, required_ticks=2,
     why="4 ticks if the drive is silent while it restarts (CiA 402), else 2 ticks")  # fmt: skip
 N01_DRIVE_DROPPED_OUT = declare_fault(
     "N01", "a drive dropped out", "A drive reports that it is disabled, or has restarted",
@@ -123,7 +123,7 @@ N01_DRIVE_DROPPED_OUT = declare_fault(
     remedy="Check supply voltage and wiring of the motor under load, then start a new run.",
 )  # fmt: skip
 
-declare_catalogue_row("N02", "silent node", ticks=1, ms=30, required=4,
+declare_catalogue_row("N02", "silent node", ticks=1, ms=30, required_ticks=4,
     why=SILENCE_TIME_REASON + ". Joint encoders are read in every fourth tick: four readings take 85 ms at 200 Hz",
 )  # fmt: skip
 N02_SILENT_LOAD_CELLS = declare_fault(
@@ -143,7 +143,7 @@ N02B_SILENT_JOINT_ENCODERS = declare_fault(
 
 declare_catalogue_row("N03", "missing at start", CHECKED_BEFORE_ARMING, tested_by=_MODES_TEST_FILE)
 
-declare_catalogue_row("N04", "encoder stuck", ticks=2, ms=500, required=22,
+declare_catalogue_row("N04", "encoder stuck", ticks=2, ms=500, required_ticks=22,
     why="a constant reading is a fault only after the goal moved by 0.5 mm or the tension by 8 N, and after 100 ms",
 )  # fmt: skip
 N04_STUCK_ENCODER = declare_fault(
@@ -155,7 +155,7 @@ N04_STUCK_ENCODER = declare_fault(
     "Replace an encoder that does not follow. Else check the tendon.",
 )  # fmt: skip
 
-declare_catalogue_row("N05", "encoder jump", ticks=3, required=3)
+declare_catalogue_row("N05", "encoder jump", ticks=3, required_ticks=3)
 N05A_ENCODER_JUMP = declare_fault(
     "N05a", "an encoder jumped",
     "A position changes more than a rotor can move, and the controller rejects the reading",
@@ -171,7 +171,7 @@ N05B_REPEATED_ENCODER_JUMPS = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("N06", "encoder drift or slip", CHECKED_BY_FAULT_TABLE, _JOINT_ENCODERS_TEXT,
-    _JOINT_ENCODERS_TEXT, _JOINT_ENCODERS_TEXT, ticks=4, ms=900, required=200,
+    _JOINT_ENCODERS_TEXT, _JOINT_ENCODERS_TEXT, ticks=4, ms=900, required_ticks=200,
     why="sooner than the required 1000 ms")  # fmt: skip
 N06A_JOINT_SPOOL_MISMATCH = declare_fault(
     "N06a", "joint and spool disagree",
@@ -190,7 +190,7 @@ N06B_SLIPPING_ENCODER_OR_TENDON = declare_fault(
     remedy="Check clamp and path of the tendon and the encoder's magnet, then commission again (handctl commission).",
 )  # fmt: skip
 
-declare_catalogue_row("N07", "encoder noise", ticks=4, ms=60, required=52)
+declare_catalogue_row("N07", "encoder noise", ticks=4, ms=60, required_ticks=52)
 N07_NOISY_ENCODER = declare_fault(
     "N07", "a noisy encoder",
     f"Over 100 ms, the noise of the position has {POSITION_NOISE_FACTOR:g} times the expected variance",
@@ -200,7 +200,7 @@ N07_NOISY_ENCODER = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("N08", "the drive's watchdog fired", odrive=_HEARTBEAT_TEXT, ticks=2, odrive_extra_ms=100,
-    required=2,
+    required_ticks=2,
     robstride=f"{INDIRECTLY_VISIBLE}: by N01, because the drive reports only that it is disabled")  # fmt: skip
 N08_WATCHDOG_FIRED = declare_fault(
     "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", SafetyAction.RELAX,
@@ -212,7 +212,7 @@ N08_WATCHDOG_FIRED = declare_fault(
 
 declare_catalogue_row("N09", "over-temperature", odrive=f"{VISIBLE_FAULT}: requested five times a second",
     cia402=f"{INDIRECTLY_VISIBLE}: by the drive's own limit (N11), because the PDO has no temperature",
-    ticks=22, odrive_extra_ms=200, required=22)  # fmt: skip
+    ticks=22, odrive_extra_ms=200, required_ticks=22)  # fmt: skip
 N09A_WARM_DRIVE = declare_fault(
     "N09a", "a drive is warm",
     "The temperature is above the soft limit, and the controller lowers the limit of the tension",
@@ -233,7 +233,7 @@ declare_catalogue_row(
     odrive=_HEARTBEAT_TEXT,
     ticks=2,
     odrive_extra_ms=100,
-    required=2,
+    required_ticks=2,
 )
 N10_SUPPLY_VOLTAGE = declare_fault(
     "N10", "wrong supply voltage", "The drive reports that the voltage is too low or too high",
@@ -243,7 +243,7 @@ N10_SUPPLY_VOLTAGE = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row(
-    "N11", "node fault code", odrive=_HEARTBEAT_TEXT, ticks=2, odrive_extra_ms=100, required=2
+    "N11", "node fault code", odrive=_HEARTBEAT_TEXT, ticks=2, odrive_extra_ms=100, required_ticks=2
 )
 N11_DRIVE_ERROR = declare_fault(
     "N11", "a drive reports an error",
@@ -272,7 +272,7 @@ N12_CHANGED_SETTINGS = declare_fault(
     remedy="Close other programs, compare the drive with the hand file, and restart the drive.",
 )  # fmt: skip
 
-declare_catalogue_row("N13", "two nodes with one id", odrive=_EXCESS_REPLIES_TEXT, ticks=4, required=2,
+declare_catalogue_row("N13", "two nodes with one id", odrive=_EXCESS_REPLIES_TEXT, ticks=4, required_ticks=2,
     why="2 ticks if the second reply has different bytes, else two replies in three ticks in a row")  # fmt: skip
 N13_SHARED_IDENTIFIER = declare_fault(
     "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
@@ -283,7 +283,7 @@ N13_SHARED_IDENTIFIER = declare_fault(
 
 declare_catalogue_row("N14", "command not obeyed",
     odrive=f"{INDIRECTLY_VISIBLE}: by tension (T04) unless torque_feedback is set",
-    ticks=22, ms=600, required=22,
+    ticks=22, ms=600, required_ticks=22,
     why="22 ticks if reported and commanded torque differ. Ripple that no drive reports is found by N14b",
     )  # fmt: skip
 N14_DISOBEYED_COMMAND = declare_fault(
@@ -307,7 +307,7 @@ N14B_OSCILLATING_TENSION = declare_fault(
     remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
 )  # fmt: skip
 
-declare_catalogue_row("N15", "slow node", odrive=_SINGLE_LOSSES_TEXT, ticks=22, required=22)
+declare_catalogue_row("N15", "slow node", odrive=_SINGLE_LOSSES_TEXT, ticks=22, required_ticks=22)
 N15_SLOW_NODE = declare_fault(
     "N15", "a slow node",
     f"{HALF_RATE_LOSS_COUNT} of {MALFORMED_WINDOW_TICKS} replies of a node are missing, and rarely two in a row",
@@ -316,11 +316,11 @@ N15_SLOW_NODE = declare_fault(
     remedy="Raise the node's rate, or lower the control rate of the hand.",
 )  # fmt: skip
 
-declare_catalogue_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
+declare_catalogue_row("N16", "node refuses to release", ticks=2, ms=100, required_ticks=21,
     why="in the required time of 21 ticks of 5 ms the springs open the finger")  # fmt: skip
 N16_PULL_AFTER_CUT = declare_fault(
     "N16", "a drive does not release",
-    f"The tension or the reported torque does not fall within {PULL_AFTER_CUT_TIME_S * 1e3:g} ms after the torque "
+    f"The tension or the reported torque does not fall within {TENSION_AFTER_CUT_TIME_S * 1e3:g} ms after the torque "
     "was cut",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     shows_torque_after_cut=True,

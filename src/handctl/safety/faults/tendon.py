@@ -21,25 +21,26 @@ SLACK_TENSION_N = 2.0
 """Filtered tension above which a tendon counts as taut, and below which it counts as slack [N]."""
 SNAP_TENSION_FRACTION = 0.2
 SNAP_MIN_COMMAND_N = 8.0
-SNAP_SPOOL_SPEED = 0.03
+SNAP_SPOOL_SPEED_M_PER_S = 0.03
 SNAP_SPOOL_SPEED_WITHOUT_CELL = 0.06
 TAUT_BEFORE_SNAP_TIME_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speeds [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
-``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. A
-tendon counts as snapped only if it was taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. Therefore
-a slack tendon does not count as snapped while the spool takes up the slack. The second spool speed
-is for tendons without load cell. Of 60 random streams to ``orca_like``, 6 ended with a false T01 at
-0.03 m/s, and none at 0.06 m/s. With joint encoders, the fault T08 reports a torn tendon without
-load cell sooner.
+``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than
+``SNAP_SPOOL_SPEED_M_PER_S``. A tendon counts as snapped only if it was taut within the last
+``TAUT_BEFORE_SNAP_TIME_S``. Therefore a slack tendon does not count as snapped while the spool
+takes up the slack. The second spool speed is for tendons without load cell. Of 60 random streams to
+``orca_like``, 6 ended with a false T01 at 0.03 m/s, and none at 0.06 m/s. With joint encoders, the
+fault T08 reports a torn tendon without load cell sooner.
 """
 FREE_SPOOL_SPEED_FRACTION = 0.6
 MIN_SNAP_SPOOL_SPEED = 0.01
 """Lower speed threshold of a tension loop: fraction of the speed of a free spool, and smallest threshold [m/s].
 
 The tension loop damps its spool, so the speed of a torn tendon's spool approaches a final speed.
-The final speed is proportional to the commanded tension, and can be below ``SNAP_SPOOL_SPEED``.
+The final speed is proportional to the commanded tension, and can be below
+``SNAP_SPOOL_SPEED_M_PER_S``.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
@@ -102,7 +103,7 @@ _SLACK_TEXT = (
 )
 _TORQUE_COMPARISON_TEXT = f"{VISIBLE_FAULT}: by comparison with the commanded torque"
 
-declare_catalogue_row("T01", "snap", ticks=10, required=3,
+declare_catalogue_row("T01", "snap", ticks=10, required_ticks=3,
     why="the spool of a torn tendon reaches the speed limit in three to seven ticks, and must exceed it for two ticks",
 )  # fmt: skip
 T01_SNAPPED_TENDON = declare_fault(
@@ -112,7 +113,7 @@ T01_SNAPPED_TENDON = declare_fault(
     remedy="Inspect the tendon and its clamp, replace them, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_catalogue_row("T02", "slack", ticks=4, ms=110, required=12,
+declare_catalogue_row("T02", "slack", ticks=4, ms=110, required_ticks=12,
     why="the required 50 ms begin after a filter of 20 ms. Sudden slack is found by T01 in 10 ticks")  # fmt: skip
 T02A_SLACK_TENDON = declare_fault(
     "T02a", "a tendon is slack",
@@ -129,7 +130,7 @@ T02B_LASTING_SLACK = declare_fault(
     remedy="Inspect tendon, clamp and load cell, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_catalogue_row("T03", "over-tension", ticks=10, required=2,
+declare_catalogue_row("T03", "over-tension", ticks=10, required_ticks=2,
     why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
 T03_OVER_TENSION = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
@@ -153,7 +154,7 @@ T03C_TENSION_AFTER_RELAXING = declare_fault(
     remedy="Remove the motor power, free the digit, and check the drive before the next run.",
 )  # fmt: skip
 
-declare_catalogue_row("T04", "load cell drifts", odrive=_TORQUE_COMPARISON_TEXT, ticks=2, ms=500, required=200,
+declare_catalogue_row("T04", "load cell drifts", odrive=_TORQUE_COMPARISON_TEXT, ticks=2, ms=500, required_ticks=200,
     why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
 T04A_DRIFTING_LOAD_CELL = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
@@ -173,7 +174,7 @@ T04B_WRONG_LOAD_CELL = declare_fault(
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
-declare_catalogue_row("T05", "load cell stuck", ticks=42, required=42,
+declare_catalogue_row("T05", "load cell stuck", ticks=42, required_ticks=42,
     reaction_time_start=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
 )  # fmt: skip
 T05_STUCK_LOAD_CELL = declare_fault(
@@ -193,7 +194,7 @@ T05B_OLD_LOAD_CELL_READINGS = declare_fault(
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
 
-declare_catalogue_row("T06", "load cell saturated", ticks=4, required=4)
+declare_catalogue_row("T06", "load cell saturated", ticks=4, required_ticks=4)
 T06_SATURATED_LOAD_CELL = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_CELL_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
@@ -212,7 +213,7 @@ declare_catalogue_row(
 )
 
 declare_catalogue_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_TEXT, _SLACK_TEXT,
-    _SLACK_TEXT, ticks=8, ms=400, required=4,
+    _SLACK_TEXT, ticks=8, ms=400, required_ticks=4,
     why="three readings are necessary, and joints are read in turn. Below 15 degrees N06 finds the fault in 300 ms",
 )  # fmt: skip
 T08_TENDON_OFF_PULLEY = declare_fault(
