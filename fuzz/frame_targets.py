@@ -7,9 +7,9 @@ fuzzing target has the following fields, with their widths in bits:
 
 The state byte selects the initial state of the drive. The identifier byte selects one of the
 identifiers of the node, because a random CAN identifier hardly ever belongs to a node. The shape
-byte selects the CAN flags of the frame, and one of two payload lengths: 8 bytes, or the number of
-bytes in the control byte. The control byte also selects the pause before the frame, and the state
-that the host requests from the drive.
+byte selects the CAN flags of the frame. It also decides whether the payload has 8 bytes, or as many
+bytes as the control byte says. The control byte also selects the pause before the frame, and the
+state that the host requests from the drive.
 
 The corpus begins with inputs that contain recorded frames. A simulated drive sent the recorded
 frames between the first tick and the tick in which the drive made torque.

@@ -15,7 +15,7 @@ cost of a test is its processor time. For a test that runs in real time, the cos
 time. A test run that leaves out tests still executes the first cases of each test function, until
 the cost of these cases reaches a time budget. The budget is ``TEST_FUNCTION_BUDGET_S``, or
 ``REAL_CLOCK_BUDGET_S`` for tests that run in real time. An incomplete test run also executes the
-cheapest test of each file, if this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. Therefore a
+cheapest test of each file, if this test costs no more than ``MAX_COST_OF_CHEAPEST_TEST_S``. Therefore a
 test run that leaves out tests executes at least one test of nearly every file.
 """
 
@@ -36,7 +36,7 @@ REAL_CLOCK_BUDGET_S = 3.0
 """Largest total elapsed time of the cases of one real-time test function in `make test` [s]."""
 MIN_SLOW_TEST_COST_S = 0.05
 """Cost limit [s]. A test case that costs no more never counts as slow."""
-CHEAPEST_TEST_LIMIT_S = 15.0
+MAX_COST_OF_CHEAPEST_TEST_S = 15.0
 """Largest cost of a file's cheapest test [s].
 
 If the cheapest test of a file costs more, an incomplete test run leaves out the whole file.
@@ -126,7 +126,10 @@ def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, f
             cost_by_slow_test[test] = cost
     for tests in files.values():
         cost, cheapest = min(tests)
-        if all(test in cost_by_slow_test for _, test in tests) and cost <= CHEAPEST_TEST_LIMIT_S:
+        if (
+            all(test in cost_by_slow_test for _, test in tests)
+            and cost <= MAX_COST_OF_CHEAPEST_TEST_S
+        ):
             del cost_by_slow_test[cheapest]
     return cost_by_slow_test
 

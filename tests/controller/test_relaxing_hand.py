@@ -161,7 +161,7 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(
 
 
 @pytest.mark.parametrize("request_text", [FAST_HOLD_REQUEST, MOVE_REQUEST])
-def test_a_run_with_its_own_goals_refuses_goals_of_clients(
+def test_commissioning_refuses_goals_of_clients(
     jamia_at_low_rate: HandModel, request_text: str
 ) -> None:
     """The controller refuses the goals of a client while the hand is commissioned.

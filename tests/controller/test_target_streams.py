@@ -463,9 +463,8 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
-    A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time. Two targets that are sent after the scheduled time of the same tick therefore count as
-    sent at the same time. Earlier defect: the controller refused the second target, because the
+    The controller sets the time of such a target back to the scheduled time of the tick. Two such
+    targets of one tick therefore have the same time. Earlier defect: the controller refused the second target, because the
     time of the second target was not later than the time of the first.
     """
     with live_client(jamia) as client:

@@ -1,7 +1,7 @@
 """Test that a reader finds the answer to a frequent question after few clicks and few words.
 
-A reader takes two minutes for 400 words. The last click of a reader opens a page or a heading of a
-page. The test counts the words from the opened page or heading to the answer. A reader reads fewer
+A reader takes two minutes for 400 words. With the last click, a reader opens a page, or jumps to a
+heading of a page. The test counts the words from there to the answer. A reader reads fewer
 words than the test counts, because readers skip rows of a table.
 """
 

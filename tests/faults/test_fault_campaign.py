@@ -362,7 +362,7 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
+def test_hands_without_load_cells_stop_soon_after_exchanged_or_late_drives(seed):
     """Check that tensions stay below 40 N if drives of a hand without load cells are exchanged or react late.
 
     Earlier defect: when drives of the thumb were exchanged or reacted late, the speed of the

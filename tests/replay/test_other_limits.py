@@ -29,7 +29,7 @@ def test_the_original_limits_find_the_faults_of_the_run(
     assert all(stop.occurs_in_logged_run for stop in judgement.stopping_faults)
 
 
-def test_a_lower_trip_stops_at_the_first_sample_above_it(
+def test_a_lower_tension_limit_stops_at_the_first_reading_above_the_limit(
     golden_folder: Path, tmp_path: Path
 ) -> None:
     with RunLog(golden_folder / "jamia-grasp.mcap") as log:

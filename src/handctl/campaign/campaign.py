@@ -189,8 +189,8 @@ def simulate_without_faults(
     """Simulate a hand without faults, and return the false alarms.
 
     In the simulation, the sensor noise is larger than normal, and a fraction of the frames is lost.
-    During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts
-    as a false alarm, because such a run tests too little.
+    During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp also
+    adds a text to the result, because without a grasp the run tests too little.
     """
     alarms: list[str] = []
     remaining_s = duration_s

@@ -1,8 +1,8 @@
 """RobStride motor in MIT mode.
 
 In MIT mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
-Commands and special commands have the motor's number as identifier, and the layout of
-``mit.codec``. Byte 6 of a special command contains FF in all special commands that handctl uses,
+The identifier of a command or a special command is the number of the motor. The module
+``mit.codec`` describes the bytes of both. Byte 6 of a special command contains FF in all special commands that handctl uses,
 except in the request to read the faults:
 
     bytes 0..5          byte 6   byte 7   effect

@@ -47,7 +47,7 @@ class TargetTopic:
         ]
 
     def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
-        """Yield the streamed targets among the requests of a tick.
+        """Yield those requests of a tick that are streamed targets.
 
         A streamed target contains values without names. The request that opened the stream contains
         the names of the values.
