@@ -464,8 +464,8 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     The controller sets the time of such a target back to the scheduled time of the tick. Two such
-    targets of one tick therefore have the same time. Earlier defect: the controller refused the second target, because the
-    time of the second target was not later than the time of the first.
+    targets of one tick therefore have the same time. Earlier defect: the controller refused the
+    second target, because the time of the second target was not later than the time of the first.
     """
     with live_client(jamia) as client:
         client.open_stream()

@@ -2,8 +2,8 @@
 
 In MIT mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
 The identifier of a command or a special command is the number of the motor. The module
-``mit.codec`` describes the bytes of both. Byte 6 of a special command contains FF in all special commands that handctl uses,
-except in the request to read the faults:
+``mit.codec`` describes the bytes of both. Byte 6 of a special command contains FF in all special
+commands that handctl uses, except in the request to read the faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
