@@ -82,7 +82,7 @@ VCAN_TESTS_FOLDER = Path(__file__).parent / "vcan"
 
 
 def has_real_clock_tests(path: Path) -> bool:
-    """Return True if a test file contains a marker of tests in real time, or tests virtual CAN buses (vcan)."""
+    """Return True if a file of tests uses a marker for real time, or is in the folder for virtual CAN buses (vcan)."""
     text = path.read_text(encoding="utf-8")
     return path.is_relative_to(VCAN_TESTS_FOLDER) or any(
         mark in text for mark in REAL_CLOCK_MARKERS

@@ -141,7 +141,7 @@ def _conclusion_text(result: dict) -> str:
         f"although the two errors belong to different instants. The ratios are: {', '.join(prediction_ratios)}. "
     )
     raw_text = "\n".join(
-        f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in INSTANT_TEXT_BY_RATIO
+        f"- {_regimes_where_load_cell_is_better(result, ratio)}" for ratio in INSTANT_TEXT_BY_RATIO
     )
     heading = "Comparison of the filter with the load cell alone:"
     paragraphs = (text.strip(), heading, raw_text, _plant_mismatch_text(result), *EXPLANATION_TEXTS)
@@ -174,7 +174,7 @@ INSTANT_TEXT_BY_RATIO = {
 }
 
 
-def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
+def _regimes_where_load_cell_is_better(result: dict, ratio_name: str) -> str:
     """List the tendon regimes in which the raw load cell is better than the filter.
 
     The list covers the nominal hand, and hands whose tendon stiffness differs from the hand file.

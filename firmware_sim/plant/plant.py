@@ -457,7 +457,7 @@ class Plant:
             return rotors["theta"], rotors["torque"]
         return [motor.theta for motor in rotors], [motor.torque for motor in rotors]
 
-    def pair_tensions(self) -> list[float]:
+    def tensions_in_pairs(self) -> list[float]:
         """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""
         if not self._antagonist:
             return []

@@ -110,7 +110,7 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
         plant = peer.world.plant
         plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
         plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
-        first_tension, second_tension = plant.pair_tensions()[:2]
+        first_tension, second_tension = plant.tensions_in_pairs()[:2]
         tension_change = tendon.stiffness_N_per_m * stretch_mm * 1e-3
         assert first_tension == pytest.approx(max(pretension + tension_change, 0.0), abs=1e-9)
         assert second_tension == pytest.approx(max(pretension - tension_change, 0.0), abs=1e-9)
@@ -192,7 +192,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         largest = 0.0
         for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
-            largest = max(largest, *plant.pair_tensions())
+            largest = max(largest, *plant.tensions_in_pairs())
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0
@@ -239,7 +239,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
         goal = np.clip(tension, model.floor, model.ceiling)
         for _, out in run.run_ticks(4.5):
             assert not [event for event in out.events if event.level == "error"]
-            assert max(peer.world.plant.pair_tensions()) < limit
+            assert max(peer.world.plant.tensions_in_pairs()) < limit
         np.testing.assert_allclose(run.state.view("tension"), goal, atol=0.5)
         np.testing.assert_allclose(peer.world.plant.tensions(), goal, atol=1.0)
 

@@ -41,8 +41,8 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    For each returned identifier of the drive or its host, the function also returns the 29
-    identifiers that differ from this identifier in one bit.
+    The result also contains identifiers with one wrong bit: 29 for each returned identifier of the
+    drive or its host.
     """
     drive_and_host_ids = sorted(
         identifier

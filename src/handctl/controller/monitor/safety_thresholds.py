@@ -130,8 +130,8 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     commanded position between two commands, at the commanded velocity. If the commands of a drive
     contain no kp and kd, the function returns 1 as the value of one count of kp and kd. The
     feedback of a drive consists of its position and its speed. A drive rounds its position and its
-    speed to counts of the protocol. If the counts of the encoder are coarser, the drive rounds the
-    position to counts of the encoder.
+    speed to counts of the protocol. If a count of the encoder is larger than a count of the
+    protocol, the drive rounds the position to counts of the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)

@@ -116,7 +116,7 @@ SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
 
 
 def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
-    """Return a text about the value that the file should contain for a missing key.
+    """Return a text that describes the value of a key, for the error message about a file without this key.
 
     The text says which form the section or value must have, such as "a list", and adds the first
     sentence of the key's description.
