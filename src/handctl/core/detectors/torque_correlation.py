@@ -239,10 +239,10 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     of the commands, even if the command changes fast. The test of the range finds some faults
     earlier than the low-passed difference alone, for example if two drives are exchanged.
 
-    The test covers only motors of tendons without a load cell. If a tendon has a load cell, a
-    drive that makes a wrong force is detected by the module ``residuals``. On a busy computer, a reply of a drive can be older than the last
-    three commands. Therefore a report is compared with the last three commands only if three ticks
-    take at least ``MIN_COMMAND_WINDOW_S``.
+    The test covers only motors of tendons without a load cell. If a tendon has a load cell, the
+    module ``residuals`` detects a drive that makes a wrong force. On a busy computer, a reply of a
+    drive can be older than the last three commands. Therefore a report is compared with the last
+    three commands only if three ticks take at least ``MIN_COMMAND_WINDOW_S``.
 
     A drive that closes its position loop is not tested, because such a drive gets no torque
     commands. A drive that sends its torque in a separate frame is not tested either, because the
