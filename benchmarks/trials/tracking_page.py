@@ -169,8 +169,8 @@ def _error_reduction_text(error_reduction: float, error_sigma: float, seed_count
 def _gain_by_law(rows_by_law: dict) -> str:
     """Return a text that states by how much each control law reduces the error of the preceding control law [deg].
 
-    The text states whether a change of the error is larger than two standard deviations of this
-    change over the seeds.
+    The change of the error differs between the seeds. The text states whether the mean change is
+    larger than two standard deviations.
     """
     texts = []
     old_row = rows_by_law[next(iter(rows_by_law))]["fast"]

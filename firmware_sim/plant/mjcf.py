@@ -241,7 +241,7 @@ def _palm_element(
 ) -> str:
     """Build the palm with all attached digits.
 
-    If ``carrier`` is not empty, build the box on the last link of this digit instead of the palm.
+    If ``carrier`` is the name of a digit, the palm is a box on the last link of this digit.
     """
     centre, half_sizes = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"

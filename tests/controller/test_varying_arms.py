@@ -195,11 +195,11 @@ def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int
     """
     hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
     constant_hand = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
-    error_with_varying_arms = tracking_error_deg(
+    error_with_varying_moment_arms_deg = tracking_error_deg(
         HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed
     )
-    error_with_mean_arms = tracking_error_deg(
+    error_with_mean_moment_arms_deg = tracking_error_deg(
         HandModel.from_hand(constant_hand, Gains(), RATE_HZ), hand, seed
     )
-    assert error_with_varying_arms < 1.0
-    assert error_with_mean_arms > 3.0 * error_with_varying_arms
+    assert error_with_varying_moment_arms_deg < 1.0
+    assert error_with_mean_moment_arms_deg > 3.0 * error_with_varying_moment_arms_deg

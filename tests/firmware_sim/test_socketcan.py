@@ -91,7 +91,7 @@ def test_classical_and_fd_frames_to_the_kernel(fake_socket: FakeSocket) -> None:
     assert fake_socket.sent == [CLASSICAL_FRAME_BYTES, FD_FRAME_BYTES]
 
 
-def test_a_socket_that_is_not_ready_is_not_read(fake_socket: FakeSocket) -> None:
+def test_only_ready_sockets_are_read(fake_socket: FakeSocket) -> None:
     fake_socket.waiting = [CLASSICAL_FRAME_BYTES]
     assert SocketCanPort("vcan7", 0).receive([]) == []
 

@@ -250,7 +250,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     ("cell_group", "commanded_force_N", "is_checked"),
     [([-1, -1], 20.0, True), ([-1, -1], np.nan, False), ([0, 1], np.nan, True)],
 )
-def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
+def test_a_pulley_is_not_checked_without_load_cell_and_torque(
     monitor: SyntheticMonitor, cell_group: list[int], commanded_force_N: float, is_checked: bool
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).

@@ -49,7 +49,7 @@ def test_every_fault_of_the_active_mode_is_paired() -> None:
 
 
 @pytest.mark.parametrize(("first_fault_id", "second_fault_id"), FAULT_PAIRS)
-def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(
+def test_two_simultaneous_faults_are_reported_with_the_more_severe_action(
     first_fault_id: str, second_fault_id: str
 ) -> None:
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]

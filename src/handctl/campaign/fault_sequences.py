@@ -323,9 +323,9 @@ def violations_on_replay(
 ) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
-    If a repeated tick has another state, other frames or other events than in the first execution,
-    return a list with one text. The text names the first tick whose repetition differs from the
-    first execution. If all repeated ticks are equal to the first execution, return an empty list.
+    The state, the frames and the events of each tick are compared with the first execution. If they
+    differ, return a list with one text, which names the first tick with a difference. Otherwise,
+    return an empty list.
     """
     for tick_input, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, tick_input)

@@ -42,7 +42,7 @@ def use_protocol_hand_file(args: argparse.Namespace) -> Iterator[None]:
             args.hand = original_hand
 
 
-def protocol_hand_path(args: argparse.Namespace) -> Path:
+def path_of_protocol_hand_file(args: argparse.Namespace) -> Path:
     """Return the path in the present folder for the hand file with drives of ``args.protocol``.
 
     Raises:
@@ -57,8 +57,8 @@ def protocol_hand_path(args: argparse.Namespace) -> Path:
 
 
 def write_protocol_hand(args: argparse.Namespace) -> Path:
-    """Write the hand file at ``protocol_hand_path``, and return the path."""
-    path = protocol_hand_path(args)
+    """Write the hand file at ``path_of_protocol_hand_file``, and return the path."""
+    path = path_of_protocol_hand_file(args)
     write_text_atomically(path, _hand_text(args))
     return path
 

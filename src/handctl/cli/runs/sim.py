@@ -11,7 +11,7 @@ from handctl.cli.console.options import (
     wire_arguments,
 )
 from handctl.cli.runs.protocol_hand_file import (
-    protocol_hand_path,
+    path_of_protocol_hand_file,
     use_protocol_hand_file,
     write_protocol_hand,
 )
@@ -49,7 +49,7 @@ def _print_simulator_command(args: argparse.Namespace) -> int:
     from handctl.session.run_plan import bus_specs
 
     command = _simulator_command(
-        args, str(protocol_hand_path(args)) if args.protocol else args.hand
+        args, str(path_of_protocol_hand_file(args)) if args.protocol else args.hand
     )
     with use_protocol_hand_file(args):
         bus_specs(load_hand(args.hand), args.bus)
