@@ -2,7 +2,8 @@
 
 The tip-equivalent force acts at the tip, normal to the last link, and makes the same torque as the
 actual contact. The tension of a finger with one tendon does not depend on the place of contact, so
-the tip is used as the place of contact by convention.
+the tip is used as the place of contact by convention. In a digit with several coordinates, one force
+cannot make all their torques, so the tip-equivalent force is the least-squares solution.
 """
 
 import numpy as np
