@@ -40,6 +40,40 @@ def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
     )
 
 
+def random_wall_scene(random_source: random.Random) -> str:
+    """Return the text of a scene with the wall at a random position."""
+    return WALL_SCENE.format(
+        x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
+    )
+
+
+def simulate_press_on_wall(
+    hand: str,
+    wall_scene_text: str,
+    closing_speed_deg_s: float,
+    hold_phases: list[dict[str, Any]],
+    seed: int,
+) -> GraspRun:
+    """Close a hand until its digits touch the wall, and simulate the given hold phases."""
+    phases = [
+        {
+            "kind": "move",
+            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
+            "duration_s": 0.6,
+        },
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": closing_speed_deg_s},
+        *hold_phases,
+    ]
+    return simulate_grasp(
+        hand,
+        program_of_phases(phases),
+        wall_scene_text,
+        seed=seed,
+        last_phase="end",
+        timeout_s=12.0,
+    )
+
+
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure the delay of each digit's contact event [s], for a hand and a seed.
 
@@ -48,27 +82,10 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     """
     hand, seed = job
     random_source = random.Random(f"wall {seed}")
-    wall_scene_text = WALL_SCENE.format(
-        x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
-    )
+    wall_scene_text = random_wall_scene(random_source)
     closing_speed_deg_s = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
-    phases = [
-        {
-            "kind": "move",
-            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
-            "duration_s": 0.6,
-        },
-        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": closing_speed_deg_s},
-        {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
-    ]
-    run = simulate_grasp(
-        hand,
-        program_of_phases(phases),
-        wall_scene_text,
-        seed=seed,
-        last_phase="end",
-        timeout_s=12.0,
-    )
+    hold_phase = {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3}
+    run = simulate_press_on_wall(hand, wall_scene_text, closing_speed_deg_s, [hold_phase], seed)
     return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 
 

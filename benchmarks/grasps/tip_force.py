@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from grasps.contact_detection import WALL_SCENE, program_of_phases
-from grasps.grasp_trial import hand_model, simulate_grasp
+from grasps.contact_detection import random_wall_scene, simulate_press_on_wall
+from grasps.grasp_trial import hand_model
 
 COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
+CLOSING_SPEED_DEG_S = 50.0
 HOLD_DURATION_S = 0.8
 EVALUATION_WINDOW_S = 0.4
 
@@ -24,28 +25,12 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     """Measure the mean estimated and the mean true force [N] of each digit, at each commanded force."""
     hand, seed = job
     random_source = random.Random(f"tip {seed}")
-    wall_scene_text = WALL_SCENE.format(
-        x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
-    )
-    phases: list[dict[str, Any]] = [
-        {
-            "kind": "move",
-            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
-            "duration_s": 0.6,
-        },
-        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
-    ]
-    phases += [
+    hold_phases = [
         {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_DURATION_S}
         for f in COMMANDED_FORCES_N
     ]
-    run = simulate_grasp(
-        hand,
-        program_of_phases(phases),
-        wall_scene_text,
-        seed=seed,
-        last_phase="end",
-        timeout_s=12.0,
+    run = simulate_press_on_wall(
+        hand, random_wall_scene(random_source), CLOSING_SPEED_DEG_S, hold_phases, seed
     )
     rows = []
     for command in COMMANDED_FORCES_N:
