@@ -118,7 +118,7 @@ class CachedReplies:
         identifiers = commands[0::RECORD_SIZE] + commands[1::RECORD_SIZE]
         batch = self.batches.get(identifiers)
         if batch and SPECIAL_COMMAND_PREFIX not in commands:
-            sync_replies = self.sensor_replies(records) if batch_start else b""
+            sync_replies = self.sensor_replies(records[DATA_OFFSET]) if batch_start else b""
             return sync_replies + batch.replies_to(commands, self.last_torques)
         if SPECIAL_COMMAND_PREFIX in commands:
             self.batches.clear()
@@ -138,15 +138,13 @@ class CachedReplies:
             self.batches[identifiers] = CommandBatch(nodes, reply_rows.copy())
         return replies
 
-    def sensor_replies(self, sync_record: bytes) -> bytes:
-        """Return the replies of the sensor node to a SYNC frame, as frame records."""
+    def sensor_replies(self, sync_counter: int) -> bytes:
+        """Return the replies of the sensor node to a SYNC frame with this counter, as frame records."""
         self.sync_count += 1
         turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
-        counter = sync_record[DATA_OFFSET] % SYNC_COUNTER_VALUES
-        key = (self.sync, SYNC_COUNTER_VALUES * turn + counter)
+        key = (self.sync, SYNC_COUNTER_VALUES * turn + sync_counter % SYNC_COUNTER_VALUES)
         if key not in self.replies:
-            sync_frame = split_records(sync_record[:RECORD_SIZE], 0)[0][0]
-            self.replies[key] = self.packed_replies(sync_frame)
+            self.replies[key] = self.packed_replies(Frame(self.sync, bytes([sync_counter])))
         return self.replies[key]
 
     def packed_replies(self, frame: Frame) -> bytes:
@@ -156,7 +154,7 @@ class CachedReplies:
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to one frame of the host. Each reply is a record of the local bus."""
         if frame.can_id == self.sync:
-            return self.sensor_replies(pack_record(frame))
+            return self.sensor_replies(frame.data[0])
         if frame.can_id > LARGEST_MOTOR_ID:
             # The host reads or writes a register.
             return self.packed_replies(frame)
