@@ -19,7 +19,7 @@ from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
-from handctl.runtime.clocks.rehearsal import Rehearsal
+from handctl.runtime.clocks.rehearsal import rehearsal_for_period
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.run import make_controller
@@ -115,7 +115,7 @@ def run_loop(
         lambda: list(recorder.take_events()), record, counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:
-        clock.rehearsal = Rehearsal(loop.rehearse_tick, plan.period_ns)
+        clock.rehearsal = rehearsal_for_period(loop.rehearse_tick, plan.period_ns)
     state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()

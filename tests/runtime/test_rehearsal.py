@@ -18,6 +18,7 @@ from handctl.runtime.clocks.rehearsal import (
     MAX_PERIOD_SHARE,
     SHORTEST_PERIOD_NS,
     Rehearsal,
+    rehearsal_for_period,
 )
 
 PERIOD_NS = 2_000_000
@@ -141,7 +142,7 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
 def test_short_periods_have_no_rehearsals(monkeypatch: pytest.MonkeyPatch, period_ns: int) -> None:
     wall = WallClock(monkeypatch)
     wall.tick_ns = 10_000
-    rehearsal = Rehearsal(wall.execute_tick, period_ns)
+    rehearsal = rehearsal_for_period(wall.execute_tick, period_ns)
     clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
     clock.start()
     assert max(clock.wait(k) for k in range(10_000)) < 1000

@@ -34,7 +34,7 @@ from handctl.runtime.clocks.realtime_priority import (
     realtime_priority,
     restore_priority,
 )
-from handctl.runtime.clocks.rehearsal import Rehearsal
+from handctl.runtime.clocks.rehearsal import rehearsal_for_period
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend_watch import SuspendWatch
 from handctl.runtime.hold_timeout import HoldTimeout
@@ -203,7 +203,7 @@ def run_live(
             request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show_tick)
             if priority.is_realtime:
-                clock.rehearsal = Rehearsal(
+                clock.rehearsal = rehearsal_for_period(
                     loop.rehearse_tick, int(plan.period_ns / plan.time_scale)
                 )
             loop.take_targets = targets.read_targets

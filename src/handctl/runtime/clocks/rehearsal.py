@@ -35,6 +35,18 @@ As a result, the clock sometimes tries whether a rehearsal has become shorter.
 """
 
 
+def rehearsal_for_period(
+    execute_steps: Callable[[], Iterator[None]], period_ns: int
+) -> "Rehearsal | None":
+    """Return the rehearsal of the ticks of a run, or None if the control period is too short for rehearsals.
+
+    Args:
+        execute_steps: see ``Rehearsal``.
+        period_ns: control period [ns of wall time].
+    """
+    return Rehearsal(execute_steps, period_ns) if period_ns >= SHORTEST_PERIOD_NS else None
+
+
 @dataclass
 class Rehearsal:
     """Rehearsals of ticks during one run, and an estimate of the duration of the next rehearsal.
@@ -53,14 +65,11 @@ class Rehearsal:
     def lead_time_ns(self, wake_up_delay_ns: float) -> int:
         """Return the time before a deadline at which the process must wake up for a rehearsal [ns].
 
-        If the lead time exceeds the permitted fraction of the control period, or if the control
-        period is too short for rehearsals, return 0.
+        If the lead time exceeds the permitted fraction of the control period, return 0.
 
         Args:
             wake_up_delay_ns: expected delay of the wake-up [ns].
         """
-        if self.period_ns < SHORTEST_PERIOD_NS:
-            return 0
         lead_ns = int(wake_up_delay_ns + self.duration.expected_ns + MARGIN_NS)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * self.period_ns else 0
 
