@@ -256,16 +256,16 @@ class ControllerState:
 
     @mode.setter
     def mode(self, mode: HandMode) -> None:
-        self.set_run_table_integer(s.HAND_MODE, mode)
+        self._run_int[s.HAND_MODE] = mode
 
     @property
     def mode_start_time(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self.run_table_real(s.MODE_START_TIME)
+        return self._run[s.MODE_START_TIME]
 
     @mode_start_time.setter
     def mode_start_time(self, t: float) -> None:
-        self.set_run_table_real(s.MODE_START_TIME, t)
+        self._run[s.MODE_START_TIME] = t
 
     @property
     def goal_time(self) -> float:
@@ -283,11 +283,11 @@ class ControllerState:
     @property
     def is_arming_requested(self) -> bool:
         """Return True if the arming of the drives is requested."""
-        return bool(self.run_table_integer(s.ARMING_REQUESTED))
+        return bool(self._run_int[s.ARMING_REQUESTED])
 
     @is_arming_requested.setter
     def is_arming_requested(self, is_armed: bool) -> None:
-        self.set_run_table_integer(s.ARMING_REQUESTED, is_armed)
+        self._run_int[s.ARMING_REQUESTED] = is_armed
 
     @property
     def is_clearing_errors(self) -> bool:
@@ -296,7 +296,7 @@ class ControllerState:
 
     @is_clearing_errors.setter
     def is_clearing_errors(self, is_clearing: bool) -> None:
-        self.set_run_table_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
+        self._run_int[s.CLEARING_DRIVE_ERRORS] = is_clearing
 
     @property
     def has_started(self) -> bool:
@@ -317,9 +317,9 @@ class ControllerState:
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC frame."""
         return (
-            self.run_table_integer(s.SYNC_COUNT),
-            self.run_table_integer(s.TENSION_FRAME_COUNT),
-            self.run_table_integer(s.STALE_FRAME_COUNT),
+            self._run_int[s.SYNC_COUNT],
+            self._run_int[s.TENSION_FRAME_COUNT],
+            self._run_int[s.STALE_FRAME_COUNT],
         )
 
     # The decisions, each by its name.
