@@ -271,6 +271,6 @@ def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    expected = dict(make_mit_drive(watchdog_ms=50, torque_max_N_m=1.5).required)
+    expected = dict(make_mit_drive(watchdog_ms=50, torque_max_N_m=1.5).required_settings)
     assert expected == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

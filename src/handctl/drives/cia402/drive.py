@@ -108,7 +108,7 @@ class Cia402Drive:
         zero: angle of the shaft when the spool angle is zero [rad].
         rated_torque: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: objects of the drive, with the values that the objects must have before arming.
+        setup_steps: objects of the drive, with the values that the objects must have before arming.
         sync: True if the host sends SYNC after the command of this drive.
         sends_heartbeat: True if the host sends its heartbeat after the command of this drive. All
             drives on a bus receive the same heartbeat, so the host sends it with one drive only.
@@ -126,7 +126,7 @@ class Cia402Drive:
     zero: float
     rated_torque: float
     counts: int
-    steps: tuple[setup.SetupStep, ...]
+    setup_steps: tuple[setup.SetupStep, ...]
     sync: bool
     sends_heartbeat: bool
     heartbeat_period_ns: int
@@ -206,7 +206,7 @@ class Cia402Drive:
             zero=motor.zero_rad,
             rated_torque=rated,
             counts=counts,
-            steps=settings.required_steps(
+            setup_steps=settings.required_steps(
                 motor.node_id,
                 round(rated * TORQUE_UNITS[unit]),
                 max_torque,
@@ -310,7 +310,7 @@ class Cia402Drive:
         """Return the objects that the host reads again while the drive is enabled."""
         return tuple(
             step
-            for step in self.steps
+            for step in self.setup_steps
             if (step.number, step.sub_index) in settings.PROTECTION_OBJECTS
         )
 
@@ -367,11 +367,11 @@ class Cia402Drive:
             return self._on_recheck_reply(state, reply)
         if (
             reply is None
-            or progress.cursor.step >= len(self.steps)
+            or progress.cursor.step >= len(self.setup_steps)
             or state.phase not in (SILENT, CONFIGURING)
         ):
             return state
-        cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
+        cursor, serial, problem = setup.on_reply(progress.cursor, self.setup_steps, reply)
         progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
         next_state = state._replace(phase=CONFIGURING, protocol_state=progress)
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
@@ -404,7 +404,7 @@ class Cia402Drive:
         values of the TPDO are not used.
         """
         progress = get_progress(state)
-        if progress.cursor.step < len(self.steps):
+        if progress.cursor.step < len(self.setup_steps):
             return state
         _, _, position, torque = self.feedback.unpack(frame.data)
         next_state = state._replace(
@@ -458,7 +458,7 @@ class Cia402Drive:
         if state.phase == FAULT:
             return state, self.torque_cut_frames() if progress.may_be_enabled else ()
         progress = progress._replace(disable_command_ns=-1)
-        if progress.cursor.step < len(self.steps):
+        if progress.cursor.step < len(self.setup_steps):
             return self._configure(state, progress, t_ns)
         if state.phase != READY:
             return self._start_node(state, progress, t_ns)
@@ -502,7 +502,7 @@ class Cia402Drive:
 
         Before the first SDO request, the host sets the node to the NMT state pre-operational.
         """
-        cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
+        cursor, data, problem = setup.next_request(progress.cursor, self.setup_steps, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()

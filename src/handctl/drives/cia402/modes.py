@@ -110,7 +110,7 @@ def make_mode_drive(
     ratio = abs(fields["ratio"])
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])
-    fields["steps"] = (*_motion_steps(mode, speed, window), *fields["steps"])
+    fields["setup_steps"] = (*_motion_steps(mode, speed, window), *fields["setup_steps"])
     fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )

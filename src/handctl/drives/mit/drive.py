@@ -201,7 +201,7 @@ class MitDrive:
         return 0.0
 
     @property
-    def required(self) -> tuple[tuple[int, float], ...]:
+    def required_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers that the host verifies before arming, as pairs (register, required value)."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return (*self._mode_registers, *ranges, (codec.TIMEOUT, self.timeout))
@@ -297,14 +297,14 @@ class MitDrive:
         if state.phase != CONFIGURING:
             return state
         progress = get_progress(state)
-        if progress.cursor.step >= len(self.required):
+        if progress.cursor.step >= len(self.required_settings):
             is_serial_number = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
             return (
                 state_after_configuration(state, t_ns, int.from_bytes(reply.raw, "little"))
                 if is_serial_number
                 else state
             )
-        cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
+        cursor, problem = registers.on_reply(progress.cursor, self.required_settings, reply)
         if problem:
             return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state._replace(protocol_state=progress._replace(cursor=cursor))
@@ -405,7 +405,7 @@ class MitDrive:
                 error_text="enabled, and does not disable", protocol_state=progress
             )
             return next_state, self.torque_cut_frames()
-        if progress.cursor.step >= len(self.required):
+        if progress.cursor.step >= len(self.required_settings):
             cursor, data, unanswered = registers.next_serial_request(
                 progress.cursor, self.node_id, t_ns
             )
@@ -414,7 +414,7 @@ class MitDrive:
                 self._register_frame(data),
             ) if data else ()
         cursor, data, problem = registers.next_request(
-            progress.cursor, self.required, self.node_id, t_ns
+            progress.cursor, self.required_settings, self.node_id, t_ns
         )
         if problem:
             return enter_fault(

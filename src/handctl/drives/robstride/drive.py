@@ -86,7 +86,7 @@ class RobstrideDrive:
         watchdog_ms: timeout of the motor's watchdog [ms].
         command: signal table of the torque command, built from the other attributes.
         feedback: signal table of the feedback, built from the other attributes.
-        required: parameters with the values required before arming, built from the attributes
+        required_settings: parameters with the values required before arming, built from the attributes
             above.
         node_ids: identifiers of the frames from the motor, built from the attributes above.
     """
@@ -102,7 +102,7 @@ class RobstrideDrive:
     watchdog_ms: float
     command: SignalTable = field(init=False, repr=False, compare=False)
     feedback: SignalTable = field(init=False, repr=False, compare=False)
-    required: tuple[parameters.RequiredParameter, ...] = field(
+    required_settings: tuple[parameters.RequiredParameter, ...] = field(
         init=False, repr=False, compare=False
     )
     node_ids: frozenset[int] = field(init=False, repr=False, compare=False)
@@ -118,7 +118,9 @@ class RobstrideDrive:
         object.__setattr__(self, "command", SignalTable(command))
         object.__setattr__(self, "feedback", SignalTable(feedback))
         object.__setattr__(
-            self, "required", parameters.required_parameters(self.command_limit, self.watchdog_ms)
+            self,
+            "required_settings",
+            parameters.required_parameters(self.command_limit, self.watchdog_ms),
         )
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
@@ -235,7 +237,7 @@ class RobstrideDrive:
                 key_byte_range=(0, 2),
                 compared_byte_range=(0, 4 + struct.calcsize(parameter.coding)),
             )
-            for parameter in self.required
+            for parameter in self.required_settings
         )
 
     def steady_status(self, state: DriveState) -> int:
@@ -314,7 +316,7 @@ class RobstrideDrive:
         progress = get_progress(state)
         number, raw_bytes = codec.decode_parameter_reply(data)
         if state.phase == ENABLED and state.recheck.is_waiting:
-            required_parameter = self.required[state.recheck.step]
+            required_parameter = self.required_settings[state.recheck.step]
             if number != required_parameter.number:
                 return state
             is_equal = required_parameter.is_required_value(raw_bytes) and not has_failed
@@ -326,16 +328,20 @@ class RobstrideDrive:
             return state_after_recheck_reply(
                 state,
                 SETTING_MISMATCH_ERROR,
-                len(self.required),
+                len(self.required_settings),
                 is_equal,
                 required_parameter.name,
                 answer,
                 f"{required_parameter.value:g}",
             )
         cursor = progress.cursor
-        if state.phase != CONFIGURING or not cursor.is_waiting or cursor.step >= len(self.required):
+        if (
+            state.phase != CONFIGURING
+            or not cursor.is_waiting
+            or cursor.step >= len(self.required_settings)
+        ):
             return state
-        required_parameter = self.required[cursor.step]
+        required_parameter = self.required_settings[cursor.step]
         if number != required_parameter.number:
             return state
         if has_failed:
@@ -407,12 +413,12 @@ class RobstrideDrive:
             )
             return next_state, self.torque_cut_frames()
         cursor = progress.cursor
-        if cursor.step >= len(self.required):
+        if cursor.step >= len(self.required_settings):
             next_state = state._replace(protocol_state=progress)
             return state_after_configuration(
                 next_state, t_ns, progress.serial
             ), self.torque_cut_frames()
-        required_parameter = self.required[cursor.step]
+        required_parameter = self.required_settings[cursor.step]
         if cursor.must_write:
             next_state = state._replace(
                 protocol_state=progress._replace(cursor=cursor.cursor_after_write())
