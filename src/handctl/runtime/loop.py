@@ -402,10 +402,10 @@ class ControlLoop(Generic[S]):
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
-            records = frames_as_records(frames)
-            bus_indices = records.records["bus"]
+            frame_batch = frames_as_records(frames)
+            bus_indices = frame_batch.records["bus"]
             frames_by_bus = [
-                Frames(records.rows[bus_indices == index]) for index in range(len(self.buses))
+                Frames(frame_batch.rows[bus_indices == index]) for index in range(len(self.buses))
             ]
             accepted = sum(
                 bus.send(frames_of_bus)
