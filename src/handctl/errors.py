@@ -25,6 +25,7 @@ class HandctlError(Exception):
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
+        """Join the three texts to the one-line message of the error."""
         self.what, self.where, self.right = what, where, right
         message_parts = [f"{where}: {what}" if where else what]
         if right:
@@ -50,6 +51,7 @@ class NoSimulatorError(BusError):
     """
 
     def __init__(self, bus: str, reason: str, command: str = "") -> None:
+        """Build the message of the error. The message contains the command that starts a simulator."""
         self.bus, self.reason = bus, reason
         start = command or f"handctl sim --bus {bus}"
         super().__init__(
@@ -75,11 +77,12 @@ class UnconfirmedError(PowerError, BusError):
 
     Args:
         bus: bus of the controller.
-        word: name of the request, e.g. ``stop``.
-        why: event that occurred instead of the confirmation.
+        request_name: name of the request, e.g. ``stop``.
+        reason: event that occurred instead of the confirmation.
     """
 
     def __init__(self, bus: str, request_name: str, reason: str) -> None:
+        """Build the message of the error. The message tells the operator to switch the power off."""
         super().__init__(
             f"no confirmation from the controller: switch the power off ({request_name}: {reason})",
             f"bus {bus}",

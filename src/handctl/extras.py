@@ -32,11 +32,12 @@ class MissingExtraError(ConfigError):
     """Error for an optional package that is needed but not installed.
 
     Args:
-        user: command or function that needs the package.
+        feature: command or function that needs the package.
         package: import name of the package.
     """
 
     def __init__(self, feature: str, package: str) -> None:
+        """Build the message of the error. The message contains the command that installs the package."""
         super().__init__(
             f"{feature} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'"
         )

@@ -96,6 +96,7 @@ class EscapedStream:
     """
 
     def __init__(self, stream: Any) -> None:
+        """Write to the given text stream."""
         self.rich_proxied_file = stream
         """The original stream.
 
@@ -114,6 +115,7 @@ class EscapedStream:
             self.write(line)
 
     def __getattr__(self, name: str) -> Any:
+        """Return any other attribute of the original stream."""
         return getattr(self.rich_proxied_file, name)
 
 

@@ -32,6 +32,7 @@ class TerminationFlag:
     """
 
     def __init__(self) -> None:
+        """Start with the flag not set."""
         self.requested = False
 
     def __call__(self, signal_number: int, frame: object) -> None:

@@ -270,6 +270,7 @@ class HandClient:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        """Stop a hand that this client has started, or give up the right to move the hand."""
         self._finish_command(raises_error=error_type is None)
 
     def move(

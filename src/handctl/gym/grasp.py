@@ -66,9 +66,14 @@ class GraspEnv(HandEnv):
         """Create the environment. The docstring of ``HandEnv`` explains the common arguments.
 
         Args:
-            hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
+            hand: as for ``HandEnv``.
+            space: as for ``HandEnv``.
+            duration_s: as for ``HandEnv``.
+            perturb: as for ``HandEnv``.
+            speed_deg_s: as for ``HandEnv``.
             diameter_mm: smallest and largest diameter of the cylinder [mm].
-            render_mode, picture_size_px: as for ``HandEnv``.
+            render_mode: as for ``HandEnv``.
+            picture_size_px: as for ``HandEnv``.
 
         Raises:
             ConfigError: as for ``HandEnv``, or the range of diameters is empty or too large.

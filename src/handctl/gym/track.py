@@ -54,11 +54,16 @@ class TrackEnv(HandEnv):
         """Create the environment. The docstring of ``HandEnv`` explains the common arguments.
 
         Args:
-            hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
+            hand: as for ``HandEnv``.
+            space: as for ``HandEnv``.
+            duration_s: as for ``HandEnv``.
+            perturb: as for ``HandEnv``.
+            speed_deg_s: as for ``HandEnv``.
             span: lowest and highest value of the references, as fractions of the range of each
                 joint or digit. If digits can touch each other within these ranges, the span must be
                 smaller.
-            render_mode, picture_size_px: as for ``HandEnv``.
+            render_mode: as for ``HandEnv``.
+            picture_size_px: as for ``HandEnv``.
 
         Raises:
             ConfigError: as for ``HandEnv``, or the span is empty or outside 0 to 1.

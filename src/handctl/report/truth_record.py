@@ -117,7 +117,8 @@ def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int)
         source_path: truth file of a simulator. The simulator is allowed to write to this file
             during the copy.
         target_path: new file.
-        start_ns, end_ns: first and last time to copy, on the simulator's clock [ns].
+        start_ns: first time to copy, on the simulator's clock [ns].
+        end_ns: last time to copy, on the simulator's clock [ns].
 
     Raises:
         LogError: the source is not a truth file.

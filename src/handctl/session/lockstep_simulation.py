@@ -197,6 +197,7 @@ class SimulatedRun:
         )
 
     def __post_init__(self) -> None:
+        """Create the clock and the bus of the run."""
         self._clock = LockstepClock(self.simulated_hand, self.period_ns)
         self._bus = LockstepBus(self._clock)
 

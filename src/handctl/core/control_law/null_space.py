@@ -122,7 +122,8 @@ def _max_feedback_fraction(
 
     Args:
         c: constants of the hand.
-        first_tendon, end: index of the digit's first tendon, and index after its last tendon.
+        first_tendon: index of the digit's first tendon.
+        end: index after the digit's last tendon.
         bound: largest allowed multiple of the balance tensions.
         motion_terms: (2, N) tension goals and feedback forces of the motion loop [N].
         feedback: (N,) part of the feedback forces that moves the digit [N].
