@@ -194,11 +194,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the plugin that repeats tests, except in the virtual machine that tests virtual CAN buses (vcan).
+    """Check the types of all arguments of kernels, and register the plugin that repeats tests.
 
-    The virtual machine has only one processor core, so its processes delay each other in every
-    test.
+    The compiled code of a kernel does not check types, so the tests call every kernel through its
+    dispatcher. The programs that the tests start call the compiled code, like the programs of a
+    user.
+
+    The plugin is not registered in the virtual machine that tests virtual CAN buses (vcan). The
+    virtual machine has only one processor core, so its processes delay each other in every test.
     """
+    # Imported here, because this module imports numpy, and ``configure_openblas`` must come before.
+    from handctl.compiled import KernelCalls
+
+    KernelCalls.check_types = True
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(RepeatAfterStallPlugin(), "repeats")
     if path := config.getoption("--durations-file"):

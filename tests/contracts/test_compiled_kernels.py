@@ -213,6 +213,30 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
         scaled_values(np.ones(3, dtype=np.float32), 2.0)
 
 
+def test_a_program_calls_the_compiled_code_of_ticks_without_a_dispatcher() -> None:
+    """In a program of a user, ticks call the compiled code directly, and give the same states as in tests.
+
+    A kernel that other kernels call keeps its dispatcher.
+    """
+    script = f"""
+from {__name__} import hash_of_execution, GOLDEN_LOGS
+from handctl.core import tick_stages
+from handctl.core.wire import cyclic_frames
+from handctl.hand import rigid_body
+kernels = (tick_stages.find_faults, cyclic_frames.receive_frames, rigid_body.link_poses)
+before = [hasattr(kernel, "py_func") for kernel in kernels]
+digest = hash_of_execution(GOLDEN_LOGS / {GOLDEN_LOG_NAMES[0]!r})
+kernels = (tick_stages.find_faults, cyclic_frames.receive_frames, rigid_body.link_poses)
+print(before, [hasattr(kernel, "py_func") for kernel in kernels], digest)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    output = subprocess.check_output(
+        [sys.executable, "-c", script], env=environment, text=True, timeout=120
+    )
+    digest = hash_of_execution(GOLDEN_LOGS / GOLDEN_LOG_NAMES[0])
+    assert output.strip() == f"[True, True, True] [False, False, True] {digest}"
+
+
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
     """A kernel refuses a non-contiguous array.
 
