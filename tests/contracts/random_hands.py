@@ -268,7 +268,7 @@ class RandomHand:
                 for feedback_message in drive.cyclic_messages.feedback
             ]
         sensors = self.controller.sensors
-        counter = self.state.run_table_integer(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_integers[s.SYNC_COUNTER] & 0xF
         for message in sensors.messages:
             is_counter_wrong = rng.random() < CORRUPT_FRACTION
             given_quantities = {

@@ -113,7 +113,7 @@ def run_control_law(
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
-    controller_of(model)._compute_torques(state, action, 1)
+    controller_of(model)._compute_torques(state, state.mode, action, 1)
 
 
 def run_control_law_tick(
@@ -141,7 +141,7 @@ def run_control_law_tick(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+        state.run_integers[s.TRIM_ACTIVE] = 1
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if law.friction_slider is not None:
@@ -150,7 +150,7 @@ def run_control_law_tick(
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:
         state.view("limit_held")[...] = held_limit_N
-        state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
+        state.run_integers[s.SAFETY_HOLD_ACTIVE] = 1
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
@@ -164,9 +164,9 @@ def control_law_state_of(state: ControllerState) -> ControlLawState:
         for name in ControlLawState._fields
         if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.run_table_integer(s.TRIM_ACTIVE) else None
+    trim = state.view("trim").copy() if state.run_integers[s.TRIM_ACTIVE] else None
     held_limits = (
-        state.view("limit_held").copy() if state.run_table_integer(s.SAFETY_HOLD_ACTIVE) else None
+        state.view("limit_held").copy() if state.run_integers[s.SAFETY_HOLD_ACTIVE] else None
     )
     return ControlLawState(**block_values, trim=trim, held=held_limits)
 

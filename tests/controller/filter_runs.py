@@ -11,7 +11,7 @@ import numpy as np
 from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.estimation.filter_prediction import predict_filter_states
+from handctl.core.estimation.filter_prediction import FilterPrediction
 from handctl.core.estimation.filter_types import STATE_COUNT, S, TendonRegime, X
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
@@ -114,10 +114,10 @@ def write_filter_state(state: ControllerState, filter_state: FilterState) -> Non
     for name, row in STATE_FIELD_BY_ATTRIBUTE.items():
         state.view(row)[...] = getattr(filter_state, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filter_state.doubt_time_s > 0.0)
-    state.set_run_table_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
+    state.run_integers[s.COVARIANCE_PROPAGATED] = filter_state.covariance is not None
     if filter_state.covariance is not None:
         state.view("covariance")[...] = filter_state.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_run_table_integer(s.FILTER_STARTED, filter_state.started)
+    state.run_integers[s.FILTER_STARTED] = filter_state.started
 
 
 def filter_state_of(state: ControllerState) -> FilterState:
@@ -130,7 +130,7 @@ def filter_state_of(state: ControllerState) -> FilterState:
         for name, row in STATE_FIELD_BY_ATTRIBUTE.items()
     }
     covariances = None
-    if state.run_table_integer(s.COVARIANCE_PROPAGATED):
+    if state.run_integers[s.COVARIANCE_PROPAGATED]:
         covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **field_values, covariance=covariances, started=state.has_started)
@@ -179,12 +179,14 @@ def run_filter_tick(
     controller_state.view("planned_contact")[...] = digit_contact
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
-    controller_state.set_run_table_integer(s.MISSED_TICKS, missed_ticks)
+    controller_state.run_integers[s.MISSED_TICKS] = missed_ticks
     tick_stages.correct_tension_estimate(
         controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
     if controller_state.has_started:
-        predict_filter_states(model, controller_state.layout, controller_state.block, missed_ticks)
+        FilterPrediction(model, controller_state.layout).predict(
+            controller_state.block, missed_ticks
+        )
     tick_stages.conclude_estimate(
         controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )

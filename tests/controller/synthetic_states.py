@@ -116,7 +116,7 @@ def controller_of(model: HandModel) -> Controller:
 def _active_state_template(model: HandModel) -> ControllerState:
     state = controller_of(model).initial_state()
     state.mode = HandMode.ACTIVE
-    state.set_run_table_integer(s.FILTER_STARTED, 1)
+    state.run_integers[s.FILTER_STARTED] = 1
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state

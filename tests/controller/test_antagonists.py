@@ -119,7 +119,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_table_integer(s.K, first_tick - 1)
+    run.state.run_integers[s.K] = first_tick - 1
     return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 
 

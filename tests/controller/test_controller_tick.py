@@ -134,7 +134,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
     for first_tick in (0, 2560):
         run = make_controller_bench(model, LiveProgram())
         run.k = first_tick
-        run.state.set_run_table_integer(s.K, first_tick - 1)
+        run.state.run_integers[s.K] = first_tick - 1
         run.state.mode_start_time = first_tick * model.period
         run.run_until_mode(HandMode.ACTIVE)
         run.run(0.5)

@@ -164,7 +164,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         return state_after
 
     held_state = state_after_goal_evaluation(state, SafetyAction.HOLD, tension)
-    assert held_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
+    assert held_state.run_integers[s.SAFETY_HOLD_ACTIVE]
     assert held_state.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
     repeated_state = state_after_goal_evaluation(held_state, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(repeated_state.view("limit_held"), held_state.view("limit_held"))
@@ -172,12 +172,12 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         tension_limits_of(controller.model, repeated_state) <= held_state.view("limit_held")
     ).all()
     for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
-        assert not state_after_goal_evaluation(repeated_state, action, tension).run_table_integer(
+        assert not state_after_goal_evaluation(repeated_state, action, tension).run_integers[
             s.SAFETY_HOLD_ACTIVE
-        )
+        ]
     assert not state_after_goal_evaluation(
         repeated_state, SafetyAction.HOLD, tension, HandMode.RELAX
-    ).run_table_integer(s.SAFETY_HOLD_ACTIVE)
+    ).run_integers[s.SAFETY_HOLD_ACTIVE]
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -190,7 +190,7 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     for _ in range(300):
         out = warm_grasp.run_tick()
         actions_and_holds.append(
-            (out.action, bool(warm_grasp.state.run_table_integer(s.SAFETY_HOLD_ACTIVE)))
+            (out.action, bool(warm_grasp.state.run_integers[s.SAFETY_HOLD_ACTIVE]))
         )
         if out.mode != HandMode.ACTIVE:
             break

@@ -160,10 +160,10 @@ def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedCo
     calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
     def record_call(
-        self: Controller, state: ControllerState, action: SafetyAction, ticks: int
+        self: Controller, state: ControllerState, mode: HandMode, action: SafetyAction, ticks: int
     ) -> None:
         state_before = state.copy()
-        real(self, state, action, ticks)
+        real(self, state, mode, action, ticks)
         calls.append((self, state_before, state.copy(), action, ticks))
 
     monkeypatch.setattr(Controller, "_compute_torques", record_call)
@@ -197,12 +197,12 @@ def test_a_change_makes_no_step_in_torque(
     calls = record_control_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert bench.state.run_table_integer(s.TRIM_ACTIVE)
+    assert bench.state.run_integers[s.TRIM_ACTIVE]
     (_, state_before, _, action, ticks), (new_controller, _, without, *_) = calls
     state_with_trim = state_before.copy()
     state_with_trim.view("trim")[...] = bench.state.view("trim")
-    state_with_trim.set_run_table_integer(s.TRIM_ACTIVE, 1)
-    new_controller._compute_torques(state_with_trim, action, ticks)
+    state_with_trim.run_integers[s.TRIM_ACTIVE] = 1
+    new_controller._compute_torques(state_with_trim, state_with_trim.mode, action, ticks)
     np.testing.assert_allclose(
         state_with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
     )
@@ -234,8 +234,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     (old_controller, _, old_state, *_), (new_controller, _, new_state, *_) = calls
     assert old_controller is not new_controller
     assert (
-        old_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
-        == new_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
+        old_state.run_integers[s.SAFETY_HOLD_ACTIVE]
+        == new_state.run_integers[s.SAFETY_HOLD_ACTIVE]
         == 1
     )
     np.testing.assert_array_equal(new_state.view("limit_held"), old_state.view("limit_held"))
@@ -251,7 +251,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 def test_the_trim_fades_and_the_goal_is_reached(bench_with_rising_tension: ControllerBench) -> None:
     bench_with_rising_tension.tick(gain_request({"tension.tension_error_N": 1.4}))
     bench_with_rising_tension.run(2.5)
-    assert not bench_with_rising_tension.state.run_table_integer(s.TRIM_ACTIVE)
+    assert not bench_with_rising_tension.state.run_integers[s.TRIM_ACTIVE]
     assert not bench_with_rising_tension.state.view("trim").any()
     tension = np.array(
         [out.telemetry.tension for *_, out in bench_with_rising_tension.tick_history[-200:]]
@@ -306,7 +306,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     bench.tick(gain_request({"motion.force_N": 40.0}))
     bench.run(0.1)
     assert bench.state.decisions.gains is not None
-    assert not bench.state.run_table_integer(s.TRIM_ACTIVE)
+    assert not bench.state.run_integers[s.TRIM_ACTIVE]
     assert not bench.state.view("trim").any()
 
 

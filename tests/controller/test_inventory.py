@@ -109,7 +109,7 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
         known_hand.copy(),
     )
     hand_bench.controller.store_drive_state(state_without_position, 1, blind)
-    state_without_position.set_run_table_integer(s.FILTER_STARTED, 0)
+    state_without_position.run_integers[s.FILTER_STARTED] = 0
     assert mode_after_inventory(hand_bench, state_without_position) == (
         HandMode.DONE,
         "no position from middle_motor",

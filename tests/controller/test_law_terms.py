@@ -129,8 +129,8 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_run_table_integer(s.TRIM_ACTIVE, 1)
-    state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
+    state.run_integers[s.TRIM_ACTIVE] = 1
+    state.run_integers[s.SAFETY_HOLD_ACTIVE] = 1
     state.mode = HandMode.READY
     tick_stages.compute_motor_torques(
         state.block, state.layout.offsets, *constant_args_of(model), 0.0, 0, 1

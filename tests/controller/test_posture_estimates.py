@@ -180,7 +180,7 @@ def angles_of_tick(
     state.
     """
     state.view("touch")[...] = external_tension
-    state.set_run_table_integer(s.K, tick_index)
+    state.run_integers[s.K] = tick_index
     detect_contacts(
         model,
         state,

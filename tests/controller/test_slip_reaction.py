@@ -52,13 +52,13 @@ class GripRun:
         self.grip = GripState.at_start_of_hold(model, self.goals, self.resting_estimate, self.t)
         self.state = active_state(model)
         detect_contacts(model, self.state, self.resting_estimate)
-        self.state.set_run_table_integer(s.PROGRAM_HOLDS_OBJECT, 1)
+        self.state.run_integers[s.PROGRAM_HOLDS_OBJECT] = 1
         self.events: list[TickEvent] = []
 
     def tick(self, estimate: SyntheticEstimate, duration_s: float) -> None:
         for _ in range(round(duration_s / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_run_table_real(s.SLIP_DETECTION_START, self.grip.ready)
+            self.state.run_reals[s.SLIP_DETECTION_START] = self.grip.ready
             estimate_with_contacts = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(

@@ -137,7 +137,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_table_integer(s.K, first_tick - 1)
+    run.state.run_integers[s.K] = first_tick - 1
     return run
 
 

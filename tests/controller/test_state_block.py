@@ -118,7 +118,7 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
                                     for f in schema.fields
                                     if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
     assert len(set(all_positions.tolist())) == len(all_positions) == layout.size - 4
-    assert (count[: layout.start("tendon_int")] == 1.0).all()
+    assert (count[: layout.starts["tendon_int"]] == 1.0).all()
 
 
 @pytest.fixture(params=["jamia", "jamia11"])

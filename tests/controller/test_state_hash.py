@@ -41,7 +41,7 @@ def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> No
     """
     draw = np.random.default_rng(seed)
     items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]
-    cache = SequenceCache[object](IdentityCache[object](serialized_bytes))
+    cache = SequenceCache[object](IdentityCache[object, bytes](serialized_bytes))
     for _ in range(200):
         sequence = tuple(items[i] for i in draw.integers(0, len(items), draw.integers(0, 5)))
         assert cache(sequence) == [serialized_bytes(item) for item in sequence]
@@ -52,7 +52,7 @@ def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
     draw = np.random.default_rng(seed)
     digits = int(draw.integers(1, 6))
     progress = ProgramProgress.initial(digits, "zu früh")
-    cache = IdentityCache[object](serialized_bytes)
+    cache = IdentityCache[object, bytes](serialized_bytes)
     for _ in range(50):
         goals = (*progress.goals[1:], DigitGoal(rate=float(draw.normal())))
         progress = replace(

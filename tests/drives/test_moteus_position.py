@@ -215,10 +215,8 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the drive commands in the controller state ``block``, and return the payloads of the frames."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
-        block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_scalings,
-        tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
-        tables.servo_signal_scalings, tables.recheck_ranges, tables.rechecks, 0, 0,
-    )  # fmt: skip
+        block, layout.offsets, *tables.command_tables, out, torque, 0, 0
+    )
     assert first_drive == len(torque)
     return [frame.data for frame in Frames(out[:count])]
 

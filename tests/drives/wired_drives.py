@@ -86,14 +86,12 @@ class WiredDrives:
 
     def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
         """Receive frames in the same way as a tick of the controller does, and return ``self``."""
-        frames, known_tables, at = frames_as_records(frames), self.tables, 0
+        frames, at = frames_as_records(frames), 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.offsets, *self._load_cell_constants, frames.rows, known_tables.keys,
-                known_tables.entries, known_tables.signal_integers, known_tables.signal_scalings,
-                known_tables.recheck_ranges, known_tables.rechecks, at,
-                self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
+                self.block, self.layout.offsets, *self._load_cell_constants, *self.tables.receive_tables,
+                frames.rows, at, self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
@@ -117,10 +115,8 @@ class WiredDrives:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
                 first_drive, count = cyclic_frames.encode_commands(
-                    self.block, self.layout.offsets, out, tables.commands, tables.command_signal_integers,
-                    tables.command_signal_scalings, tables.templates, np.asarray(torque, dtype=np.float64),
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
-                    tables.recheck_ranges, tables.rechecks, first_drive, 0,
+                    self.block, self.layout.offsets, *tables.command_tables, out,
+                    np.asarray(torque, dtype=np.float64), first_drive, 0,
                 )  # fmt: skip
                 sent += Frames(out[:count])
             if first_drive >= len(self.drives):

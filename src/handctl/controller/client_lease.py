@@ -28,7 +28,7 @@ def begin_lease(state: ControllerState, request: CommandRequestBase) -> None:
     lease = None
     if request.lease_s is not None and not isinstance(request, GiveUpCommandRequest):
         lease = ClientLease(
-            request.client, round(1e9 * request.lease_s), state.run_table_integer(s.TICK_TIME_NS)
+            request.client, round(1e9 * request.lease_s), state.run_integers[s.TICK_TIME_NS]
         )
     state.decide(lease=lease)
 
@@ -43,7 +43,7 @@ def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ..
     if lease is None or lease.client != client_name:
         return ()
     state.decide(
-        lease=lease._replace(renewed_ns=state.run_table_integer(s.TICK_TIME_NS), is_at_rest=False)
+        lease=lease._replace(renewed_ns=state.run_integers[s.TICK_TIME_NS], is_at_rest=False)
     )
     return (
         (TickEvent("info", "lease", "", f"{client_name} answers again"),)
@@ -75,8 +75,8 @@ def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, 
     last_heard_ns = lease.renewed_ns
     stream = state.decisions.stream
     if stream is not None and stream.client == lease.client:
-        last_heard_ns = max(last_heard_ns, state.run_table_integer(s.STREAM_SENT_NS))
-    silence_ns = state.run_table_integer(s.TICK_TIME_NS) - last_heard_ns
+        last_heard_ns = max(last_heard_ns, state.run_integers[s.STREAM_SENT_NS])
+    silence_ns = state.run_integers[s.TICK_TIME_NS] - last_heard_ns
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
     if silence_ns > RELAX_TIMEOUT_IN_LEASES * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))

@@ -103,15 +103,15 @@ def _serialized_part(state_part: object) -> bytes:
 
 # Most decisions are the same objects in many ticks, so the serialized form of each part is cached
 # by the identity of the object.
-_serialized_field_cache = IdentityCache[Any](serialized_bytes)
-_serialized_bytes_cache = IdentityCache[Any](_serialized_part)
+_serialized_field_cache = IdentityCache[Any, bytes](serialized_bytes)
+_serialized_bytes_cache = IdentityCache[Any, bytes](_serialized_part)
 _drives_cache, _goals_cache, _other_parts_cache = (
     SequenceCache[Any](_serialized_bytes_cache) for _ in range(3)
 )
 
 
-def _hash_decisions(decisions: ControllerDecisions) -> bytes:
-    """Return an 8-byte hash of the decisions.
+def _hash_decisions(decisions: ControllerDecisions) -> int:
+    """Return a hash of the decisions, an integer of 64 bits.
 
     If a part of the decisions has not changed since an earlier tick, the function takes the
     serialized bytes of this part from a cache.
@@ -121,10 +121,11 @@ def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     # For a hand without amplifiers, the hash equals the hash in logs of handctl versions that did
     # not support amplifiers.
     other_hashes = _other_parts_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
-    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *other_hashes]))
+    digest = xxhash.xxh3_64_digest(b"".join([*drives, *goals, *other_hashes]))
+    return int.from_bytes(digest, "little")
 
 
-_decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
+_decision_hash_cache = IdentityCache[ControllerDecisions, int](_hash_decisions)
 
 
 def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
@@ -178,10 +179,11 @@ class ControllerState:
         layout: layout of the state block.
         block: numbers of the state, see ``core.state_block``.
         decisions: decisions of the controller, see ``ControllerDecisions``.
-        tendon: (rows, N) table of the real numbers per tendon in the block.
+        run_reals: real numbers of the run, by row of the table ``run``.
+        run_integers: integers of the run, by row of the table ``run_int``.
     """
 
-    __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon")
+    __slots__ = ("block", "decisions", "layout", "run_integers", "run_reals")
 
     def __init__(
         self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
@@ -196,12 +198,11 @@ class ControllerState:
         self.layout = layout
         self.block = block
         self.decisions = decisions
-        self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         # The table "run" has a single column, so the row number of a field is also its position in
         # the table. An element of a memoryview is read four times as fast as an element of an array.
         elements = block.data
-        self._run = cast("memoryview[float]", elements[layout.start("run") :])
-        self._run_int = elements.cast("B").cast("q")[layout.start("run_int") :]
+        self.run_reals = cast("memoryview[float]", elements[layout.starts["run"] :])
+        self.run_integers = elements.cast("B").cast("q")[layout.starts["run_int"] :]
 
     def copy(self) -> "ControllerState":
         """Return an independent copy of the state."""
@@ -213,59 +214,46 @@ class ControllerState:
 
     def digest(self) -> bytes:
         """Return an 8-byte hash of the whole state."""
-        return xxhash.xxh3_64_digest(
-            self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little")
-        )
+        return xxhash.xxh3_64_digest(self.block.data, _decision_hash_cache(self.decisions))
 
     # Tables and single numbers of the block.
 
     @property
+    def tendon(self) -> NDArray[np.float64]:
+        """Return the table of real numbers with one column per tendon (rows, N)."""
+        return self.layout.table(self.block, "tendon")
+
+    @property
     def tendon_int(self) -> NDArray[np.int64]:
-        """Return the table of integers with one column per tendon (rows, N). The table is a view of the state block."""
+        """Return the table of integers with one column per tendon (rows, N)."""
         return self.layout.table(self.block, "tendon_int")
 
     def view(self, name: str) -> NDArray[Any]:
         """Return a view of the field with the given name in the state block."""
         return self.layout.view(self.block, name)
 
-    def run_table_real(self, row: int) -> float:
-        """Return the number in a row of the table ``run``."""
-        return self._run[row]
-
-    def set_run_table_real(self, row: int, value: float) -> None:
-        """Store a real number in a row of the table ``run``."""
-        self._run[row] = value
-
-    def run_table_integer(self, row: int) -> int:
-        """Return the integer in a row of the table ``run_int``."""
-        return self._run_int[row]
-
-    def set_run_table_integer(self, row: int, value: int) -> None:
-        """Store an integer in a row of the table ``run_int``."""
-        self._run_int[row] = value
-
     @property
     def k(self) -> int:
         """Return the number of the last tick, or -1 before the first tick."""
-        return self._run_int[s.K]
+        return self.run_integers[s.K]
 
     @property
     def mode(self) -> HandMode:
         """Return the mode of the hand."""
-        return _MODE_BY_NUMBER[self._run_int[s.HAND_MODE]]
+        return _MODE_BY_NUMBER[self.run_integers[s.HAND_MODE]]
 
     @mode.setter
     def mode(self, mode: HandMode) -> None:
-        self._run_int[s.HAND_MODE] = mode
+        self.run_integers[s.HAND_MODE] = mode
 
     @property
     def mode_start_time(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self._run[s.MODE_START_TIME]
+        return self.run_reals[s.MODE_START_TIME]
 
     @mode_start_time.setter
     def mode_start_time(self, t: float) -> None:
-        self._run[s.MODE_START_TIME] = t
+        self.run_reals[s.MODE_START_TIME] = t
 
     @property
     def goal_time(self) -> float:
@@ -274,52 +262,52 @@ class ControllerState:
         The program time does not increase while the safety monitor makes the hand hold its
         position.
         """
-        return self._run[s.GOAL_TIME]
+        return self.run_reals[s.GOAL_TIME]
 
     @goal_time.setter
     def goal_time(self, t: float) -> None:
-        self._run[s.GOAL_TIME] = t
+        self.run_reals[s.GOAL_TIME] = t
 
     @property
     def is_arming_requested(self) -> bool:
         """Return True if the arming of the drives is requested."""
-        return bool(self._run_int[s.ARMING_REQUESTED])
+        return bool(self.run_integers[s.ARMING_REQUESTED])
 
     @is_arming_requested.setter
     def is_arming_requested(self, is_armed: bool) -> None:
-        self._run_int[s.ARMING_REQUESTED] = is_armed
+        self.run_integers[s.ARMING_REQUESTED] = is_armed
 
     @property
     def is_clearing_errors(self) -> bool:
         """Return True if the drives are clearing their latched errors before arming."""
-        return bool(self._run_int[s.CLEARING_DRIVE_ERRORS])
+        return bool(self.run_integers[s.CLEARING_DRIVE_ERRORS])
 
     @is_clearing_errors.setter
     def is_clearing_errors(self, is_clearing: bool) -> None:
-        self._run_int[s.CLEARING_DRIVE_ERRORS] = is_clearing
+        self.run_integers[s.CLEARING_DRIVE_ERRORS] = is_clearing
 
     @property
     def has_started(self) -> bool:
         """Return True if the encoder and the load cell of every tendon have been read at least once."""
-        return bool(self._run_int[s.FILTER_STARTED])
+        return bool(self.run_integers[s.FILTER_STARTED])
 
     @property
     def estimate(self) -> HandEstimate:
         """Return the estimated state of the hand in this tick, as an object with named quantities."""
-        return HandEstimate(self.layout, self.block, self.tendon)
+        return HandEstimate(self.layout, self.block)
 
     @property
     def measurements(self) -> TickMeasurements:
         """Return the measurements of this tick, as an object with named quantities."""
-        return TickMeasurements(self.layout, self.block, self.tendon)
+        return TickMeasurements(self.layout, self.block)
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC frame."""
         return (
-            self._run_int[s.SYNC_COUNT],
-            self._run_int[s.TENSION_FRAME_COUNT],
-            self._run_int[s.STALE_FRAME_COUNT],
+            self.run_integers[s.SYNC_COUNT],
+            self.run_integers[s.TENSION_FRAME_COUNT],
+            self.run_integers[s.STALE_FRAME_COUNT],
         )
 
     # The decisions, each by its name.

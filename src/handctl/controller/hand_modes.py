@@ -421,7 +421,7 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
     possibly_enabled_motors = motors_not_confirmed_off(state, inputs.names)
     if not possibly_enabled_motors:
         # A drive can report that it is disabled although its motor still pulls.
-        ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
+        ticks_without_torque = state.run_integers[s.TICKS_SINCE_CUT] - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= TENSION_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.time_in_mode < DISARM_TIMEOUT_S:

@@ -46,7 +46,7 @@ def shutdown_step(
         The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
     state_after = state.copy()
-    state_after.set_run_table_integer(s.K, state.k + 1)
+    state_after.run_integers[s.K] = state.k + 1
     frames = (
         [controller.sensors.sync(state_after.k)] if controller.derived_constants.sends_sync else []
     )

@@ -70,9 +70,9 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
         s.LATE_TARGET_COUNT,
         s.REFUSED_TARGET_COUNT,
     ):
-        state.set_run_table_integer(row, 0)
-    state.set_run_table_integer(s.STREAM_SEQUENCE, -1)
-    state.set_run_table_integer(s.STREAM_STATE, s.OPEN_STREAM)
+        state.run_integers[row] = 0
+    state.run_integers[s.STREAM_SEQUENCE] = -1
+    state.run_integers[s.STREAM_STATE] = s.OPEN_STREAM
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
@@ -99,8 +99,8 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.coordinate_limits)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.coordinate_limits
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
-    state.set_run_table_real(s.STREAM_SEGMENT_START, 0.0)
-    state.set_run_table_real(s.STREAM_DURATION, 0.0)
+    state.run_reals[s.STREAM_SEGMENT_START] = 0.0
+    state.run_reals[s.STREAM_DURATION] = 0.0
 
 
 def close_stream(model: HandModel, state: ControllerState) -> None:
@@ -108,7 +108,7 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, streamed_digits_only=True))
-    state.set_run_table_integer(s.STREAM_STATE, 0)
+    state.run_integers[s.STREAM_STATE] = 0
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
@@ -161,20 +161,21 @@ def apply_target(
             f"refused: a target that is no target, expected {expected}",
         )
     sent_ns = min(target.sent_ns, t_ns)
-    is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
+    is_running = state.run_integers[s.STREAM_STATE] == s.RUNNING_STREAM
     # If several targets arrive in one tick, each of them can have the time of the tick.
-    is_outdated = target.number <= state.run_table_integer(
-        s.STREAM_SEQUENCE
-    ) or sent_ns < state.run_table_integer(s.STREAM_SENT_NS)
+    is_outdated = (
+        target.number <= state.run_integers[s.STREAM_SEQUENCE]
+        or sent_ns < state.run_integers[s.STREAM_SENT_NS]
+    )
     if (is_running and is_outdated) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.LATE_TARGET_COUNT, "ignored: a target that is repeated, overtaken or too old"
         )
     begin_stream = _begin_segment if stream.is_angle_stream else _begin_tension_ramp
     is_clipped = begin_stream(model, state, stream, np.array(target.values), sent_ns, t_ns)
-    state.set_run_table_integer(s.STREAM_SENT_NS, sent_ns)
-    state.set_run_table_integer(s.STREAM_SEQUENCE, target.number)
-    state.set_run_table_integer(s.STREAM_STATE, s.RUNNING_STREAM)
+    state.run_integers[s.STREAM_SENT_NS] = sent_ns
+    state.run_integers[s.STREAM_SEQUENCE] = target.number
+    state.run_integers[s.STREAM_STATE] = s.RUNNING_STREAM
     _count_target(state, s.ACCEPTED_TARGET_COUNT)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
@@ -261,11 +262,11 @@ def _begin_segment(
             )
     # The motion starts at the reference of the last tick, so the reference already moves in the
     # present tick.
-    start_time = t_ns / 1e9 - model.period * (1 + state.run_table_integer(s.MISSED_TICKS))
+    start_time = t_ns / 1e9 - model.period * (1 + state.run_integers[s.MISSED_TICKS])
     duration = max(sent_ns / 1e9 + stream.horizon - start_time, model.period)
-    target_interval = (sent_ns - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
+    target_interval = (sent_ns - state.run_integers[s.STREAM_SENT_NS]) / 1e9
     is_steady = (
-        state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
+        state.run_integers[s.STREAM_STATE] == s.RUNNING_STREAM
         and target_interval <= MAX_TARGET_INTERVAL_PERIODS * stream.period
     )
     # The time between two targets that arrive together is unrelated to the rate of the stream. The
@@ -284,8 +285,8 @@ def _count_target(
 
     If ``event_text`` is not empty and the counter becomes 1, return an event with this text.
     """
-    count = state.run_table_integer(counter_row) + 1
-    state.set_run_table_integer(counter_row, count)
+    count = state.run_integers[counter_row] + 1
+    state.run_integers[counter_row] = count
     return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
 
 
@@ -293,9 +294,9 @@ def stream_status(state: ControllerState) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _EMPTY_STREAM_STATUS
-    is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
+    is_running = state.run_integers[s.STREAM_STATE] == s.RUNNING_STREAM
     age_s = (
-        (state.run_table_integer(s.TICK_TIME_NS) - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
+        (state.run_integers[s.TICK_TIME_NS] - state.run_integers[s.STREAM_SENT_NS]) / 1e9
         if is_running
         else math.nan
     )
@@ -307,9 +308,9 @@ def stream_status(state: ControllerState) -> StreamStatus:
         s.LIMITED_COORDINATE_COUNT,
     )
     return StreamStatus(
-        state.run_table_integer(s.STREAM_SEQUENCE),
+        state.run_integers[s.STREAM_SEQUENCE],
         age_s,
-        *[state.run_table_integer(row) for row in rows],
+        *[state.run_integers[row] for row in rows],
     )
 
 

@@ -21,6 +21,7 @@ the decisions, and calls the compiled functions in order. A tick works on a copy
 state.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -47,7 +48,7 @@ from handctl.core.control_law.required_tensions import write_goal_torques
 from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.estimation.consistency_events import consistency_events
-from handctl.core.estimation.filter_prediction import predict_filter_states
+from handctl.core.estimation.filter_prediction import FilterPrediction
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, TickRequest, Vector
@@ -107,6 +108,9 @@ class DerivedConstants:
         constants: constants for the compiled code.
         kernel_constants: block and table positions of ``constants``, the arguments of compiled
             functions.
+        kernel_args: arguments of a compiled function after the state block: table positions of the
+            state block, then ``kernel_constants``.
+        prediction: prediction of the filter states.
         wire_tables: signal tables of the drives' cyclic frames.
         copy_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
@@ -123,6 +127,8 @@ class DerivedConstants:
     layout: BlockLayout
     constants: HandConstants
     kernel_constants: tuple[Vector, TableOffsets]
+    kernel_args: tuple[TableOffsets, Vector, TableOffsets]
+    prediction: FilterPrediction
     wire_tables: WireTables
     copy_telemetry: TelemetryGatherer
     drive_index_by_id: dict[tuple[int, int], int]
@@ -131,10 +137,19 @@ class DerivedConstants:
     frame_template: WordRows
     fault_evidence: EvidenceTable
 
-    def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy for new gains, in which ``limits`` and ``constants`` replace the present ones."""
-        args = (constants.block, constants.layout.offsets)
-        return replace(self, limits=limits, constants=constants, kernel_constants=args)
+    def with_gains(
+        self, model: HandModel, limits: SafetyLimits, constants: HandConstants
+    ) -> "DerivedConstants":
+        """Return a copy for new gains: a model, thresholds and constants that replace the present ones."""
+        kernel_constants = (constants.block, constants.layout.offsets)
+        return replace(
+            self,
+            limits=limits,
+            constants=constants,
+            kernel_constants=kernel_constants,
+            kernel_args=(self.layout.offsets, *kernel_constants),
+            prediction=FilterPrediction(model, self.layout),
+        )
 
     @staticmethod
     def from_configuration(
@@ -154,11 +169,14 @@ class DerivedConstants:
         )
         frame_template = np.zeros((wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
+        kernel_constants = (constants.block, constants.layout.offsets)
         return DerivedConstants(
             limits=limits,
             layout=layout,
             constants=constants,
-            kernel_constants=(constants.block, constants.layout.offsets),
+            kernel_constants=kernel_constants,
+            kernel_args=(layout.offsets, *kernel_constants),
+            prediction=FilterPrediction(model, layout),
             wire_tables=wire_tables,
             copy_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
@@ -226,7 +244,7 @@ class Controller:
             self.model, self.drives, self.sensors, limits, self.tare_tensions, self.motor_zeros
         )
         derived_constants = (
-            self.reusable_constants.with_constants(limits, constants)
+            self.reusable_constants.with_gains(self.model, limits, constants)
             if self.reusable_constants
             else DerivedConstants.from_configuration(
                 self.model, self.drives, self.sensors, limits, constants
@@ -315,7 +333,7 @@ class Controller:
             )
         events = (
             consistency_events(self.model, last_state, state) + request_events
-            if state.run_table_integer(s.CONSISTENCY_CHANGED)
+            if state.run_integers[s.CONSISTENCY_CHANGED]
             else request_events
         )
         if request_events or state.decisions.refusals:
@@ -337,7 +355,7 @@ class Controller:
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        if state.progress is not last_state.progress:
+        if state.decisions.progress is not last_state.decisions.progress:
             self._write_progress(state, last_state.progress)
         tick_in_progress.action = action
         tick_in_progress.events = (
@@ -353,13 +371,13 @@ class Controller:
             tick_in_progress.events += apply_target(
                 self.model, state, parse_target(target), tick_input.t_ns
             )
-        tick_in_progress.state_before_torques = (
-            state.copy() if state.decisions.pending_gains else None
-        )
+        if state.decisions.pending_gains:
+            tick_in_progress.state_before_torques = state.copy()
+        mode = state.mode
         self._compute_torques(
-            state, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
+            state, mode, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
         )
-        tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
+        tick_in_progress.sent_frames = self._encode_frames(state, mode, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Return the state after the tick, and the output of the tick. See ``TickInProgress.conclude``.
@@ -375,11 +393,9 @@ class Controller:
                 tick_in_progress.tick_input.k - tick_in_progress.last_state.k,
             )
         derived_constants = self.derived_constants
-        tick_stages.store_commands(
-            state.block, derived_constants.layout.offsets, *derived_constants.kernel_constants
-        )
+        tick_stages.store_commands(state.block, *derived_constants.kernel_args)
         mode = state.mode
-        phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
+        phase = state.decisions.progress.phase if mode == ACTIVE else mode.name.lower()
         tick_output = TickOut(
             tick_in_progress.sent_frames,
             mode,
@@ -405,12 +421,12 @@ class Controller:
         Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
-        layout = self.derived_constants.layout
-        kernel_args = (block, layout.offsets, *self.derived_constants.kernel_constants)
+        derived_constants = self.derived_constants
+        kernel_args = derived_constants.kernel_args
         missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block,
-            layout.offsets,
+            derived_constants.layout.offsets,
             tick_input.k,
             tick_input.t_ns,
             tick_input.late_ns,
@@ -420,13 +436,13 @@ class Controller:
         second_controller_signs = self._receive_frames(
             state,
             frames,
-            self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.TICK_TIME_NS)),
+            self.sensors.earliest_answer_time_ns(last_state.run_integers[s.TICK_TIME_NS]),
         )
-        tick_stages.observe_tick(*kernel_args)
-        tick_stages.correct_tension_estimate(*kernel_args)
-        if state.has_started:
-            predict_filter_states(self.model, layout, block, missed_ticks)
-        if tick_stages.conclude_estimate(*kernel_args):
+        tick_stages.observe_tick(block, *kernel_args)
+        tick_stages.correct_tension_estimate(block, *kernel_args)
+        if state.run_integers[s.FILTER_STARTED]:
+            derived_constants.prediction.predict(block, missed_ticks)
+        if tick_stages.conclude_estimate(block, *kernel_args):
             second_controller_signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
@@ -447,22 +463,19 @@ class Controller:
         """
         derived_constants = self.derived_constants
         tables = derived_constants.wire_tables
-        second_controller_signs: list[str] = []
-        next_row = 0
-        rows = frames.rows
-        entries = tables.entries
+        receive_tables = tables.receive_tables
         if state.decisions.amplifiers:
-            entries = tables.entries_without_groups(
+            receive_tables = tables.receive_tables_without_groups(
                 self._groups_not_ready(state.decisions.amplifiers)
             )
-        while True:
-            next_row = cyclic_frames.receive_frames(
-                state.block, derived_constants.layout.offsets, *derived_constants.kernel_constants, rows,
-                tables.keys, entries, tables.signal_integers, tables.signal_scalings, tables.recheck_ranges,
-                tables.rechecks, next_row, min_receive_ns,
-            )  # fmt: skip
-            if next_row >= len(rows):
-                return tuple(dict.fromkeys(second_controller_signs))
+        rows = frames.rows
+        row_count = len(rows)
+        kernel_args = (*derived_constants.kernel_args, *receive_tables, rows)
+        next_row = cyclic_frames.receive_frames(state.block, *kernel_args, 0, min_receive_ns)
+        if next_row >= row_count:
+            return ()  # compiled code has decoded all frames, as in most ticks
+        second_controller_signs: list[str] = []
+        while next_row < row_count:
             # The kernel ``receive_frames`` has already counted the error frames, so the frame at
             # the returned index is no error frame.
             frame = frames[next_row]
@@ -475,7 +488,10 @@ class Controller:
                 self._receive_amplifier_frame(state, frame)
             else:
                 second_controller_signs.append(f"{frame.can_id:#05x}")
-            next_row += 1
+            next_row = cyclic_frames.receive_frames(
+                state.block, *kernel_args, next_row + 1, min_receive_ns
+            )
+        return tuple(dict.fromkeys(second_controller_signs))
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
         """Return the indices of the load-cell frames whose amplifier is not completely set up.
@@ -560,8 +576,8 @@ class Controller:
             if k - refusal_tick < rate
         )
         state.decide(refusals=recent_refusals)
-        state.set_run_table_integer(s.REFUSED_REQUESTS, len(recent_refusals))
-        state.set_run_table_integer(s.REFUSED_REQUESTS_IN_TICK, len(refused_texts))
+        state.run_integers[s.REFUSED_REQUESTS] = len(recent_refusals)
+        state.run_integers[s.REFUSED_REQUESTS_IN_TICK] = len(refused_texts)
 
     def _judge_faults(
         self,
@@ -570,22 +586,16 @@ class Controller:
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
-        state.set_run_table_integer(
-            s.ARE_CELLS_TARED, state.progress.phase != TARE_PHASE
-        )  # before a load cell has been tared, it can read any value
+        # Before a load cell has been tared, it can read any value.
+        state.run_integers[s.ARE_CELLS_TARED] = state.decisions.progress.phase != TARE_PHASE
         derived_constants = self.derived_constants
-        layout = derived_constants.layout
         evidence = derived_constants.fault_evidence
         demanded_action = tick_stages.find_faults(
-            state.block,
-            layout.offsets,
-            *derived_constants.kernel_constants,
-            layout.initial,
-            evidence,
+            state.block, *derived_constants.kernel_args, derived_constants.layout.initial, evidence
         )
         new_findings = (
             newly_active_faults(derived_constants.limits, evidence, state.view("fault_ticks"))
-            if state.run_table_integer(s.NEW_FAULT_COUNT)
+            if state.run_integers[s.NEW_FAULT_COUNT]
             else []
         )
         decisions = state.decisions
@@ -634,13 +644,14 @@ class Controller:
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
-        t = state.goal_time + self.model.period
+        t = state.run_reals[s.GOAL_TIME] + self.model.period
+        present_progress = state.decisions.progress
         progress, events = self.program.advance(
-            self.model, state.progress, state.estimate, state.measurements, t
+            self.model, present_progress, state.estimate, state.measurements, t
         )
-        if progress is not state.progress:
+        if progress is not present_progress:
             state.decide(progress=progress)
-        state.goal_time = t
+        state.run_reals[s.GOAL_TIME] = t
         return events
 
     def _write_progress(
@@ -657,29 +668,29 @@ class Controller:
             write_goals(self.model, self.derived_constants.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_run_table_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
-        state.set_run_table_real(
-            s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0
-        )
+        state.run_integers[s.PROGRAM_HOLDS_OBJECT] = progress.grip is not None
+        state.run_reals[s.SLIP_DETECTION_START] = progress.grip.ready if progress.grip else 0.0
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
     # command
 
-    def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
+    def _compute_torques(
+        self, state: ControllerState, mode: HandMode, action: SafetyAction, ticks: int
+    ) -> None:
         """Compute the motor torques of the tick.
 
         The motor torques are 0 unless the hand is active or relaxing.
         """
-        mode = state.mode
         derived_constants = self.derived_constants
         layout = derived_constants.layout
         if mode not in _MODES_WITH_GOALS:
             tick_stages.compute_motor_torques(
-                state.block, layout.offsets, *derived_constants.kernel_constants, 0.0, 0, ticks
+                state.block, *derived_constants.kernel_args, 0.0, 0, ticks
             )
             return
-        sample_trajectories(self.model, layout, state.block, state.progress.goals, state.goal_time)
+        goals = state.decisions.progress.goals
+        sample_trajectories(self.model, layout, state.block, goals, state.run_reals[s.GOAL_TIME])
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if mode == RELAX else (0.0, False)
         )
@@ -714,25 +725,24 @@ class Controller:
             return unfinished_design.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
-            other_controller._compute_torques(state_before_torques, action, ticks)
+            other_controller._compute_torques(state_before_torques, state.mode, action, ticks)
             step = (
                 state.tendon[s.COMMANDED_TORQUE] - state_before_torques.tendon[s.COMMANDED_TORQUE]
             ) / self.model.tendon_constants.spool_radius
             state.tendon[s.TRIM_FORCE] += step
-            state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+            state.run_integers[s.TRIM_ACTIVE] = 1
         state.decide(gains=pending_gains.gains, pending_gains=None)
         return gain_change.gain_change_events(self.model.gains, pending_gains.gains)
 
     # encode
 
-    def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
+    def _encode_frames(self, state: ControllerState, mode: HandMode, t_ns: int) -> Frames:
         """Return the frames of the tick: SYNC, then the command of each drive.
 
         In the mode CUT, the frames that cut the torque come first, SYNC follows, and no commands to
         drives are sent. In the modes SILENT and DONE, only the frames of ``shutdown_frames`` are
         sent.
         """
-        mode = state.mode
         if mode in _MODES_WITHOUT_COMMANDS:
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         derived_constants = self.derived_constants
@@ -743,13 +753,13 @@ class Controller:
         if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
             frame_rows[0, FIRST_PAYLOAD_WORD] = counter
-            state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
+            state.run_integers[s.SYNC_COUNTER] = counter & 0xF
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             if not amplifiers or all(
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
-                state.set_run_table_integer(s.SYNC_COUNT, state.run_table_integer(s.SYNC_COUNT) + 1)
+                state.run_integers[s.SYNC_COUNT] += 1
         torque = state.tendon[s.COMMANDED_TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
@@ -788,47 +798,50 @@ class Controller:
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
-        tables = self.derived_constants.wire_tables
+        command_tables = self.derived_constants.wire_tables.command_tables
+        kernel_args = (state.layout.offsets, *command_tables, frame_words, torque)
+        encode_commands = cyclic_frames.encode_commands
+        drive_count = len(self.drives)
+        n, count = 0, 1
+        if target == DriveTarget.ENABLE:
+            n, count = encode_commands(state.block, *kernel_args, 0, 1)
+            if n >= drive_count:
+                return Frames(frame_words[first_sent_row:count])  # all drives, as in most ticks
         frame_batches: list[Frames] = []
-        first_row = 0
         first_unsent_row = first_sent_row
-        count = 1
-        is_clearing = state.is_clearing_errors and state.mode == HandMode.INVENTORY
-        n = len(self.drives)
-        while True:
-            if target == DriveTarget.ENABLE:
-                first_row, count = cyclic_frames.encode_commands(
-                    state.block, state.layout.offsets, frame_words, tables.commands,
-                    tables.command_signal_integers, tables.command_signal_scalings, tables.templates, torque,
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
-                    tables.recheck_ranges, tables.rechecks, first_row, count,
-                )  # fmt: skip
-            if first_row >= n:
-                break
-            drive_state = state.drive(first_row)
-            drive = self.drives[first_row]
-            if is_clearing and drive_state.phase == DrivePhase.FAULT:
-                drive_state, frames = drive.clear(drive_state)
-            else:
-                drive_state, frames = drive.advance(
-                    drive_state, t_ns, target, float(torque[first_row])
-                )
-                if tables.servos[first_row, 0] < tables.servos[first_row, 1]:
-                    send_torque_only(state, first_row)
-            self.store_drive_state(state, first_row, drive_state)
+        while n < drive_count:
+            frames = self._advance_drive(state, n, target, float(torque[n]), t_ns)
             if frames:
                 frame_batches += [
                     Frames(frame_words[first_unsent_row:count]),
                     frames_as_records(frames),
                 ]
                 first_unsent_row = count
-            first_row += 1
-        remaining_frames = Frames(frame_words[first_unsent_row:count])
-        return (
-            concatenate_frames([*frame_batches, remaining_frames])
-            if frame_batches
-            else remaining_frames
-        )
+            n += 1
+            if target == DriveTarget.ENABLE:
+                n, count = encode_commands(state.block, *kernel_args, n, count)
+        frame_batches.append(Frames(frame_words[first_unsent_row:count]))
+        return concatenate_frames(frame_batches)
+
+    def _advance_drive(
+        self, state: ControllerState, n: int, target: DriveTarget, torque: float, t_ns: int
+    ) -> Sequence[Frame]:
+        """Advance the state machine of a drive, and return the frames that the drive must receive."""
+        drive_state = state.drive(n)
+        drive = self.drives[n]
+        if (
+            drive_state.phase == DrivePhase.FAULT
+            and state.is_clearing_errors
+            and state.mode == HandMode.INVENTORY
+        ):
+            drive_state, frames = drive.clear(drive_state)
+        else:
+            drive_state, frames = drive.advance(drive_state, t_ns, target, torque)
+            servos = self.derived_constants.wire_tables.servos
+            if servos[n, 0] < servos[n, 1]:
+                send_torque_only(state, n)
+        self.store_drive_state(state, n, drive_state)
+        return frames
 
 
 @dataclass(slots=True)

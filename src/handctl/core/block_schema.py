@@ -124,6 +124,7 @@ class BlockLayout:
         axes: length of each axis.
         offsets: lengths of the axes, position of the first element of each table, and end of the
             last table. Compiled code reads the array ``offsets``.
+        starts: position of the first element of each table in a block, by name of the table.
         size: number of elements of a block.
         identity: 8-byte hash of all fields and of the lengths of all axes.
         initial: block before the first tick, read-only.
@@ -163,6 +164,7 @@ class BlockLayout:
             table: (first_offset, end, table_widths[table], table.endswith(INTEGER_TABLE_SUFFIX))
             for table, first_offset, end in table_spans
         }
+        self.starts = {table: span[0] for table, span in self._tables.items()}
         self._shapes = {
             table: (
                 (schema.rows(table), width),
@@ -213,10 +215,6 @@ class BlockLayout:
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX
         )
-
-    def start(self, table_name: str) -> int:
-        """Return the position of a table's first element in a block."""
-        return self._tables[table_name][0]
 
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a table in a block, with the shape (rows, length of the axis)."""

@@ -21,22 +21,27 @@ class _StateView:
     Attributes:
         layout: layout of the state block.
         block: state block.
-        tendon: table ``tendon`` of the state block.
     """
 
-    __slots__ = ("block", "layout", "tendon")
+    __slots__ = ("block", "layout")
 
-    def __init__(self, layout: BlockLayout, block: BlockArray, tendon: QuantityTable) -> None:
+    def __init__(self, layout: BlockLayout, block: BlockArray) -> None:
         """Store the state block, without a copy.
 
         Args:
             layout: layout of the state block.
             block: state block.
-            tendon: table ``tendon`` of the state block.
         """
         self.layout = layout
         self.block = block
-        self.tendon = tendon
+
+    # Most ticks of a program need no table, so the views of the tables are created only when they
+    # are used.
+
+    @property
+    def tendon(self) -> QuantityTable:
+        """Return the table ``tendon`` of the state block."""
+        return self.layout.table(self.block, "tendon")
 
 
 class HandEstimate(_StateView):
@@ -46,9 +51,6 @@ class HandEstimate(_StateView):
     """
 
     __slots__ = ()
-
-    # Most ticks of a program need no other table than ``tendon``, so the views of the other tables
-    # are created only when they are used.
 
     @property
     def joint(self) -> QuantityTable:

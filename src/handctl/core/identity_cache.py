@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+R = TypeVar("R")
 MAX_CACHED_VALUES = 256
 """Largest number of cached values."""
 
@@ -44,7 +45,7 @@ class SequenceCache(Generic[T]):
         return self._values
 
 
-class IdentityCache(Generic[T]):
+class IdentityCache(Generic[T, R]):
     """Cache of a function's results for immutable objects.
 
     The cache finds the stored result of an object by the identity of the object. Equality would not
@@ -52,16 +53,16 @@ class IdentityCache(Generic[T]):
     them.
     """
 
-    def __init__(self, serialize: Callable[[T], bytes]) -> None:
+    def __init__(self, function: Callable[[T], R]) -> None:
         """Create an empty cache.
 
         Args:
-            serialize: function whose results are cached.
+            function: function whose results are cached.
         """
-        self._function = serialize
-        self._entries: dict[int, tuple[T, bytes]] = {}
+        self._function = function
+        self._entries: dict[int, tuple[T, R]] = {}
 
-    def __call__(self, key: T) -> bytes:
+    def __call__(self, key: T) -> R:
         """Return the result of the function for an object.
 
         The result is computed only if the cache does not contain the object.

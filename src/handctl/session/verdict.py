@@ -66,7 +66,7 @@ def judge_run(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.run_table_integer(STALE_FRAME_COUNT),
+        "frames_late": outcome.state.run_integers[STALE_FRAME_COUNT],
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent_ticks,
         "bus_load": max(plan.bus_loads),

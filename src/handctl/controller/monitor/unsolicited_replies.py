@@ -78,21 +78,19 @@ def _detect_duplicate_answers(
     """
     duplicates = state.view("twice")
     is_extra_reply_allowed = not sensors.has_counter and (
-        state.run_table_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
+        state.run_integers[s.MISSED_TICKS] > 0 or _has_lost_answers(last_state)
     )
     was_group_answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (
             is_extra_reply_allowed or not (sensors.has_counter or was_group_answered[group])
         ):
-            state.set_run_table_integer(
-                s.STALE_FRAME_COUNT, state.run_table_integer(s.STALE_FRAME_COUNT) + count - 1
-            )
-            state.set_run_table_integer(
-                s.STALE_FRAME_STATE, max(state.run_table_integer(s.STALE_FRAME_STATE), 1)
+            state.run_integers[s.STALE_FRAME_COUNT] += count - 1
+            state.run_integers[s.STALE_FRAME_STATE] = max(
+                state.run_integers[s.STALE_FRAME_STATE], 1
             )
         elif count > 1:
-            counter = last_state.run_table_integer(s.SYNC_COUNTER)
+            counter = last_state.run_integers[s.SYNC_COUNTER]
             can_id = sensors.ids[group]
             fresh_payloads = [
                 frame.data

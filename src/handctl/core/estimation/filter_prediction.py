@@ -6,37 +6,50 @@ from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.filter_covariance import MAX_TORQUE_HOLD_TIME_S
+from handctl.core.estimation.filter_types import INPUT_COUNT, STATE_COUNT
 from handctl.core.hand_model import HandModel
 
 with deferred_imports():
     from filterpy.kalman import predict_steadystate
 
 
-def predict_filter_states(
-    model: HandModel, layout: BlockLayout, block: BlockArray, missed_ticks: int = 0
-) -> None:
-    """Predict the states of the tension filter for all tendons to the next tick.
+class FilterPrediction:
+    """Prediction of the states of the tension filter for all tendons of a hand."""
 
-    For missed ticks, the prediction uses the motor force of the last tick, and assumes no planned
-    change of tension.
+    def __init__(self, model: HandModel, layout: BlockLayout) -> None:
+        """Compute the positions of the filter states and of the filter inputs in the state block.
 
-    Args:
-        model: model of the hand.
-        layout: layout of the state block.
-        block: state block, modified in place.
-        missed_ticks: ticks missed before the present tick.
-    """
-    n = model.tendon_count
-    first_element = layout.start("tendon")
-    states = block[first_element : first_element + 7 * n]
-    inputs = block[first_element + 7 * n : first_element + 9 * n]
-    first_kind_element = layout.start("tendon_int") + n * s.FILTER_KIND
-    F, B = model.filter_design.transition(
-        block[first_kind_element : first_kind_element + n].tobytes()
-    )
-    x = predict_steadystate(states, F, inputs, B)
-    if missed_ticks:
-        constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))
-        for _ in range(min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / model.period))):
-            x = predict_steadystate(x, F, constant_inputs, B)
-    states[:] = x
+        Args:
+            model: model of the hand.
+            layout: layout of the state block.
+        """
+        n = model.tendon_count
+        first_state = layout.starts["tendon"]
+        first_input = first_state + STATE_COUNT * n
+        first_kind = layout.starts["tendon_int"] + n * s.FILTER_KIND
+        self._tendon_count = n
+        self._states = slice(first_state, first_input)
+        self._inputs = slice(first_input, first_input + INPUT_COUNT * n)
+        self._kinds = slice(first_kind, first_kind + n)
+        self._transition = model.filter_design.transition
+        self._max_missed_ticks = round(MAX_TORQUE_HOLD_TIME_S / model.period)
+
+    def predict(self, block: BlockArray, missed_ticks: int = 0) -> None:
+        """Predict the filter states of all tendons to the next tick.
+
+        For missed ticks, the prediction uses the motor force of the last tick, and assumes no
+        planned change of tension.
+
+        Args:
+            block: state block, modified in place.
+            missed_ticks: ticks missed before the present tick.
+        """
+        F, B = self._transition(block[self._kinds].tobytes())
+        inputs = block[self._inputs]
+        x = predict_steadystate(block[self._states], F, inputs, B)
+        if missed_ticks:
+            n = self._tendon_count
+            constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))
+            for _ in range(min(missed_ticks, self._max_missed_ticks)):
+                x = predict_steadystate(x, F, constant_inputs, B)
+        block[self._states] = x

@@ -104,32 +104,22 @@ def find_key(keys: IntArray, key: Any) -> int:
 
 
 @kernel(
-    "block",
-    "layout",
-    "constants",
-    "layout",
-    "words",
-    "keys",
-    "table_int",
-    "table_int",
-    "table",
-    "table_int",
-    "words",
-    "count",
-    "count",
-)
+    "block", "layout", "constants", "layout",
+    "keys", "table_int", "table_int", "table", "table_int", "words",
+    "words", "count", "count",
+)  # fmt: skip
 def receive_frames(
     block: BlockArray,
     at: TableOffsets,
     constants: BlockArray,
     constant_offsets: TableOffsets,
-    frame_rows: WordRows,
     keys: IntArray,
     entries: IntArray,
     signal_integers: IntArray,
     signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
+    frame_rows: WordRows,
     first_frame: int,
     min_receive_ns: int,
 ) -> int:
@@ -140,13 +130,13 @@ def receive_frames(
         at: ``BlockLayout.offsets`` of the state block.
         constants: constants of the hand.
         constant_offsets: ``BlockLayout.offsets`` of the constants.
-        frame_rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
         signal_integers: see ``WireTables``.
         signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
+        frame_rows: (n, WORDS_PER_RECORD) records of frames.
         first_frame: index of the first frame.
         min_receive_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The
             time is negative if the answers of the sensor node contain the counter of the SYNC.
@@ -557,24 +547,25 @@ def _write_torque_command(
 
 
 @kernel(
-    "block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "matrix_int", "words",
-    "matrix_int", "matrix", "matrix_int", "words", "count", "count",
+    "block", "layout", "matrix_int", "matrix_int", "matrix", "words",
+    "matrix_int", "words", "matrix_int", "matrix", "matrix_int", "words",
+    "words", "vector", "count", "count",
 )  # fmt: skip
 def encode_commands(
     block: BlockArray,
     at: TableOffsets,
-    frame_words: WordRows,
     commands: IntArray,
     signal_integers: IntArray,
     signal_scalings: FloatArray,
     templates: WordRows,
-    torque: FloatArray,
     servos: IntArray,
     servo_templates: WordRows,
     servo_signal_integers: IntArray,
     servo_signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
+    frame_words: WordRows,
+    torque: FloatArray,
     first_drive: int,
     count: int,
 ) -> tuple[int, int]:
@@ -583,18 +574,18 @@ def encode_commands(
     Args:
         block: state block.
         at: ``BlockLayout.offsets`` of the state block.
-        frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         signal_integers: ``WireTables.command_signal_integers``.
         signal_scalings: ``WireTables.command_signal_scalings``.
         templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
-        torque: (N,) commanded torque of each drive [N m].
         servos: (N, 2) see ``WireTables``.
         servo_templates: (N, WORDS) see ``WireTables``.
         servo_signal_integers: see ``WireTables``.
         servo_signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
+        frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
+        torque: (N,) commanded torque of each drive [N m].
         first_drive: index of the first drive whose command is encoded.
         count: number of records that ``frame_words`` already contains.
 

@@ -57,6 +57,16 @@ payload [bytes].
 """
 
 
+ReceiveTables = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, WordRows]
+"""Tables that decode received frames, see ``WireTables.receive_tables``."""
+CommandTables = tuple[
+    IntArray, IntArray, FloatArray, WordRows,
+    IntArray, WordRows, IntArray, FloatArray,
+    IntArray, WordRows,
+]  # fmt: skip
+"""Tables that encode commands, see ``WireTables.command_tables``."""
+
+
 class WireTables:
     """Identifiers, signals and records of all cyclic frames of a hand, in tables.
 
@@ -84,6 +94,11 @@ class WireTables:
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
             record of the request, followed by the words of the reply from ``REPLY_WORD`` on.
         max_frames: largest number of frames, including SYNC, that one tick sends to steady drives.
+        receive_tables: tables that decode received frames, in the order of the arguments of
+            ``cyclic_frames.receive_frames``: keys, entries, signals, repeated read-backs.
+        command_tables: tables that encode commands, in the order of the arguments of
+            ``cyclic_frames.encode_commands``: torque commands, position commands, repeated
+            read-backs.
     """
 
     def __init__(
@@ -162,23 +177,35 @@ class WireTables:
         )
         self._build_rechecks(drives)
         self.max_frames = 1 + len(self.templates) + len(drives)
-        self._entries_by_removed_groups: dict[tuple[int, ...], IntArray] = {}
+        self.receive_tables: ReceiveTables = self._receive_tables(self.entries)
+        self.command_tables: CommandTables = (
+            self.commands, self.command_signal_integers, self.command_signal_scalings, self.templates,
+            self.servos, self.servo_templates, self.servo_signal_integers, self.servo_signal_scalings,
+            self.recheck_ranges, self.rechecks,
+        )  # fmt: skip
+        self._tables_by_removed_groups: dict[tuple[int, ...], ReceiveTables] = {}
 
-    def entries_without_groups(self, removed_groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of ``entries`` in which state machines process the frames of the given sensor groups.
+    def receive_tables_without_groups(self, removed_groups: tuple[int, ...]) -> ReceiveTables:
+        """Return ``receive_tables`` in which state machines process the frames of the given sensor groups.
 
         Compiled code processes the sensor frames of all other groups.
         """
-        entries = self._entries_by_removed_groups.get(removed_groups)
-        if entries is None:
+        tables = self._tables_by_removed_groups.get(removed_groups)
+        if tables is None:
             entries = self.entries.copy()
             entries[
                 (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES)
                 & np.isin(entries[:, GROUP_COLUMN], removed_groups),
                 FRAME_KIND_COLUMN,
             ] = STATE_MACHINE_FRAMES
-            self._entries_by_removed_groups[removed_groups] = entries
-        return entries
+            tables = self._tables_by_removed_groups[removed_groups] = self._receive_tables(entries)
+        return tables
+
+    def _receive_tables(self, entries: IntArray) -> ReceiveTables:
+        return (
+            self.keys, entries, self.signal_integers, self.signal_scalings,
+            self.recheck_ranges, self.rechecks,
+        )  # fmt: skip
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
         """Add the signals of a message to the tables, and return the range of the new rows."""

@@ -33,7 +33,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
 from handctl.core.control_law.required_tensions import write_goal_torques
 from handctl.core.control_law.trajectory import SampledTrajectory
-from handctl.core.estimation.filter_prediction import predict_filter_states
+from handctl.core.estimation.filter_prediction import FilterPrediction
 from handctl.core.estimation.filter_types import TendonRegime
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
@@ -355,6 +355,7 @@ class _LinearController:
         floor = np.where(model.redundancy.has_surplus, -UNREACHABLE_LIMIT, model.floor)
         self._constants = HandConstants(self.model, {"floor": floor})
         self._constant_args = self._constants.block, self._constants.layout.offsets
+        self._prediction = FilterPrediction(self.model, self.layout)
 
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
@@ -364,7 +365,7 @@ class _LinearController:
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
-        predict_filter_states(self.model, self.layout, block)
+        self._prediction.predict(block)
         tick_stages.conclude_estimate(block, self.layout.offsets, *self._constant_args)
 
     def run_control_law(self, block: BlockArray) -> None:
