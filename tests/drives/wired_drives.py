@@ -149,8 +149,8 @@ class WiredDrives:
 
     def drive_state(self, drive_index: int) -> DriveState:
         """Return the state of the drive ``drive_index``, updated with its values from the state block."""
-        table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
-        return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
+        values = drive_values(self.layout, self.block, drive_index)
+        return self.states[drive_index].with_values(*values)
 
     # Readings that the sensor node has sent.
 

@@ -151,21 +151,28 @@ def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
 
 
 def drive_values(
-    tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
+    layout: BlockLayout, block: BlockArray, n: int
 ) -> tuple[float, float, float, float, int, int, RecheckCursor]:
     """Read the numbers of a drive from the state block.
 
     The result contains the arguments of ``DriveState.with_values``.
     """
-    position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
+    elements = block.data
+    reals = cast(
+        "memoryview[float]", elements[layout.starts["tendon"] + n :: layout.axes["tendon"]]
+    )
+    first_integer = layout.starts["tendon_int"] + n
+    integers = elements.cast("B").cast("q")[first_integer :: layout.axes["tendon"]]
     return (
-        position,
-        velocity,
-        torque,
-        temperature,
-        int(tendon_int[s.FEEDBACK_RECEIVED_NS, n]),
-        int(tendon_int[s.FEEDBACK_COUNT, n]),
-        RecheckCursor(*tendon_int[s.RECHECK_STEP : s.RECHECK_TRIES + 1, n].tolist()),
+        reals[s.POSITION],
+        reals[s.VELOCITY],
+        reals[s.REPORTED_TORQUE],
+        reals[s.TEMPERATURE],
+        integers[s.FEEDBACK_RECEIVED_NS],
+        integers[s.FEEDBACK_COUNT],
+        RecheckCursor(
+            integers[s.RECHECK_STEP], integers[s.RECHECK_DUE_NS], integers[s.RECHECK_TRIES]
+        ),
     )
 
 
@@ -341,7 +348,7 @@ class ControllerState:
     def drive(self, motor_index: int) -> DriveState:
         """Return the state of one drive."""
         return self.decisions.drives[motor_index].with_values(
-            *drive_values(self.tendon, self.tendon_int, motor_index)
+            *drive_values(self.layout, self.block, motor_index)
         )
 
     @property

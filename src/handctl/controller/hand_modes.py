@@ -272,7 +272,7 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
         return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ERRORS_ADVICE
     is_group_missing = not state.view("group_frames").all()
     if (
-        all(drive.phase == DrivePhase.READY for drive in state.drives)
+        all(phase == DrivePhase.READY for phase in state.drive_phases)
         and state.has_started
         and not is_group_missing
     ):
@@ -371,7 +371,7 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
     """
     drives_found = [
         drive.identity(drive_state)
-        for drive, drive_state in zip(inputs.drives, state.drives, strict=True)
+        for drive, drive_state in zip(inputs.drives, state.decisions.drives, strict=True)
     ]
     pairs = zip(inputs.names, drives_found, inputs.identities, strict=False)
     unexpected_drives = [

@@ -111,9 +111,12 @@ class TaskProgram:
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
-        progress, events = self._detect_contact(model, progress, estimate, t)
-        progress, has_slipped = self._advance_hold(model, progress, estimate, t)
-        events += has_slipped
+        phase = self.task.phase[progress.step - 1]
+        events: tuple[TickEvent, ...] = ()
+        if isinstance(phase, ClosePhase):
+            progress, events = self._detect_contact(model, phase, progress, estimate, t)
+        elif isinstance(phase, HoldPhase) and progress.grip is not None:
+            progress, events = self._advance_hold(model, phase, progress, estimate, t)
         if self._is_phase_over(model, progress, estimate, t):
             events += self._release_warnings(model, progress, estimate)
             progress, entered = self._enter_phase(model, progress, estimate, t)
@@ -265,12 +268,15 @@ class TaskProgram:
         return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _advance_hold(
-        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+        self,
+        model: HandModel,
+        phase: HoldPhase,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        t: float,
     ) -> ProgressAndEvents:
         """Update the grip during a hold phase, and raise the tensions of the grip after slip."""
-        phase = self.task.phase[progress.step - 1]
-        if progress.grip is None or not isinstance(phase, HoldPhase):
-            return progress, ()
+        assert progress.grip is not None
         limit = phase.slip_limit_N
         plan = _grip_plan(
             model,
@@ -283,34 +289,37 @@ class TaskProgram:
         return replace(progress, grip=grip, goals=goals), events
 
     def _detect_contact(
-        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+        self,
+        model: HandModel,
+        phase: ClosePhase,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        t: float,
     ) -> ProgressAndEvents:
         """Detect the contact of closing digits, and make these digits hold their tension.
 
         For a digit that carries other digits, such as a wrist, the estimated tip force has no
         meaning. A digit that carries other digits continues its motion.
         """
-        phase = self.task.phase[progress.step - 1]
-        if not isinstance(phase, ClosePhase):
-            return progress, ()
         gains = model.gains.contact
         forces = estimate.contact_force.tolist()
         goals = list(progress.goals)
         contact = list(progress.contact)
-        contact_ticks = list(progress.touching)
+        contact_ticks = [0] * len(goals)
         events: list[TickEvent] = []
-        rows = zip(model.hand.digit_names, model.digit_tendons, strict=True)
-        for d, (name, tendons) in enumerate(rows):
-            is_carrier = name in model.hand.carrier_digits
-            is_closing = goals[d].kind == GoalKind.MOTION and not contact[d] and not is_carrier
+        names = model.hand.digit_names
+        for d, is_closing in enumerate(progress.closing):
+            name = names[d]
+            if not is_closing or name in model.hand.carrier_digits:
+                continue
             threshold = contact_threshold(
                 goals[d], model.digits[d].joint_count, gains.threshold_N, t
-            )
-            is_above_threshold = is_closing and forces[
-                d
-            ] > threshold + contact_margin_without_cells(model, d)
-            contact_ticks[d] = contact_ticks[d] + 1 if is_above_threshold else 0
+            ) + contact_margin_without_cells(model, d)
+            if not forces[d] > threshold:  # also if the force is NaN
+                continue
+            contact_ticks[d] = progress.touching[d] + 1
             if contact_ticks[d] >= gains.ticks:
+                tendons = model.digit_tendons[d]
                 contact[d] = True
                 # If the tension of a digit already exceeds the contact tension, the digit keeps its
                 # present tension.
@@ -345,19 +354,7 @@ class TaskProgram:
         if isinstance(phase, FollowPhase):
             return elapsed >= phase.time_s[-1]
         if isinstance(phase, ClosePhase):
-            moving_goals = [
-                goal
-                for goal in progress.goals
-                if goal.kind == GoalKind.MOTION and goal.trajectory is not None
-            ]
-            longest_duration = max(
-                (goal.trajectory.duration for goal in moving_goals if goal.trajectory), default=0.0
-            )
-            return (
-                elapsed >= min(longest_duration + SETTLE_AFTER_CLOSE_S, phase.timeout_s)
-                if moving_goals
-                else True
-            )
+            return elapsed >= min(_time_to_close(progress.goals), phase.timeout_s)
         is_late = elapsed > RELEASE_TIMEOUT_S
         return elapsed >= phase.settle_s and (
             is_late or not _tensioned_digits(model, progress, phase, estimate)
@@ -378,6 +375,20 @@ class TaskProgram:
                 for name in _tensioned_digits(model, progress, phase, estimate)
             ]
         )
+
+
+@functools.lru_cache(maxsize=16)
+def _time_to_close(goals: tuple[DigitGoal, ...]) -> float:
+    """Return the time after which digits that have met no object have closed [s].
+
+    If no digit moves, the result is 0.
+    """
+    durations = [
+        goal.trajectory.duration
+        for goal in goals
+        if goal.kind == GoalKind.MOTION and goal.trajectory is not None
+    ]
+    return max(durations) + SETTLE_AFTER_CLOSE_S if durations else 0.0
 
 
 def _closing_digits(
