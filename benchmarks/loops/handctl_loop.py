@@ -13,7 +13,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 from handctl.runtime.buses.bus_opening import open_bus

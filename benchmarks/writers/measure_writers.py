@@ -10,6 +10,7 @@ import json
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from mcap_ros2.decoder import DecoderFactory
 from benchmarks.writers.library_writers import WRITER_BY_LIBRARY, LogMessage
 from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import Recorder
 from handctl.replay.controller_rebuild import rebuild_controller
@@ -30,6 +32,10 @@ EXECUTED_LOG_PATH = Path(__file__).resolve().parents[2] / "logs" / "golden" / "j
 """Log of a run with eleven motors. The log writers record the ticks of this run."""
 EXECUTION_COUNT = 5
 """Number of times that the run in ``EXECUTED_LOG_PATH`` is executed."""
+TICKS_PER_PAUSE = 100
+"""Number of ticks after which the re-execution waits for the recorder."""
+RECORDER_PAUSE_S = 0.03
+"""Time in which the recorder empties the pipe [s]."""
 
 
 def main(description: str) -> None:
@@ -82,25 +88,31 @@ def conversion_cpu_s(log_folder: Path) -> float:
     """Return the mean time [s] to record a tick that the controller has just computed.
 
     For the measurement, the controller re-executes a run from its log. The outputs of a tick are
-    recorded while they are still in the caches of the processor, as in a control loop. The run is
+    recorded while they are still in the caches of the processor, as in a control loop. The recorder
+    records a run in real time, in which the controller never waits for the recorder. The run is
     repeated, and the shortest recording time of each tick is used.
     """
     durations_by_execution = list[list[float]]()
     with RunLog(EXECUTED_LOG_PATH) as log:
         controller = rebuild_controller(log)
         inputs = [tick.tick_in for tick in log.ticks()]
+        header = replace(log.header, deterministic=False)
         gc.disable()  # In a run, the control loop also disables the garbage collector.
         for i in range(EXECUTION_COUNT):
-            recorder = Recorder.start(log_folder / f"executed-{i}.mcap", log.header)
+            recorder = Recorder.start(log_folder / f"executed-{i}.mcap", header)
             state = controller.initial_state()
             durations_by_execution.append([])
             for tick_in in inputs:
+                if tick_in.k % TICKS_PER_PAUSE == 0:
+                    time.sleep(RECORDER_PAUSE_S)
                 state, tick_output = controller.tick(state, tick_in)
                 start = time.perf_counter()
                 recorder.send_record(pack_tick_record(tick_in, tick_output))
                 recorder.take_events()
                 durations_by_execution[-1].append(time.perf_counter() - start)
             recorder.close("finished")
+            if recorder.dropped:
+                raise RuntimeError(f"{recorder.dropped} ticks were dropped")
         gc.enable()
     return sum(map(min, zip(*durations_by_execution, strict=True))) / len(inputs)
 

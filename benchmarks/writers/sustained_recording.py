@@ -33,7 +33,7 @@ from handctl.core.tick_types import (
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.clocks.realtime_priority import request_priority, restore_priority

@@ -52,7 +52,8 @@ KERNEL_SOURCES = (
     "compiled.py", "extras.py", "core", "safety",
     "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/readback.py",
     "drives/signals.py",
-    "hand/file/quantity_types.py", "hand/rigid_body.py", "hand/tendons.py", "runtime/buses/canfd_structs.py",
+    "hand/file/quantity_types.py", "hand/rigid_body.py", "hand/tendons.py", "log/tick_packing.py",
+    "runtime/buses/canfd_structs.py",
 )  # fmt: skip
 """Files and folders of this package that contain functions and constants of kernels.
 

@@ -127,7 +127,7 @@ def small_log(tmp_path_factory):
     from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Telemetry, TickIn, TickOut
     from handctl.hand.hand_loading import load_hand
     from handctl.log.header import RunHeader
-    from handctl.log.tick_record import pack_tick_record
+    from handctl.log.tick_packing import pack_tick_record
     from handctl.log.write.recorder import Recorder
     from handctl.safety.safety_action import SafetyAction
 

@@ -17,7 +17,8 @@ CONTRIBUTING_PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
 READ_TOPIC_SCRIPT = """
 import json, sys
 import varied_run
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from rosbags.highlevel import AnyReader
 from pathlib import Path

@@ -12,7 +12,8 @@ from pathlib import Path
 import synthetic_run
 
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import Recorder
 

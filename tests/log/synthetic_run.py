@@ -28,7 +28,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.safety_action import SafetyAction

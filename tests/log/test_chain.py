@@ -6,7 +6,8 @@ from pathlib import Path
 import synthetic_run
 
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.topics.clock_pair_topic import ClockPair, ClockStep, clock_steps
 from handctl.log.topics.hash_chain import first_hash_of_run, tick_hash
 from handctl.log.write.log_writer import LogWriter

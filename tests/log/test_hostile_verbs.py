@@ -14,7 +14,8 @@ import synthetic_run
 from hostile_logs import hostile_files
 
 from handctl.cli.main import main
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 
 EXIT_CODES = {

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import pack_snapshot, pack_tick_record
+from handctl.log.tick_packing import pack_snapshot, pack_tick_record
 from handctl.log.topics.can_frame_topics import encode_fd_frame
 from handctl.log.topics.event_topics import (
     encode_enum_message,

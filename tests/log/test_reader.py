@@ -24,7 +24,8 @@ from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import TickRecord, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import TickRecord
 from handctl.log.write.recorder import Recorder
 from handctl.printing import printable_text
 

@@ -24,11 +24,10 @@ from handctl.core.tick_types import (
 )
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.frame_records import frames_as_records
+from handctl.log.tick_packing import pack_tick, pack_tick_record
 from handctl.log.tick_record import (
     RECORD_FRAMING_STRUCT,
     message_layout,
-    pack_tick,
-    pack_tick_record,
     unpack_tick,
     unpack_tick_record,
     unpack_ticks,

@@ -19,7 +19,8 @@ import varied_run
 from handctl.core.tick_types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write import recorder_start
 from handctl.log.write.disk_syncer import DiskSyncer
 from handctl.log.write.log_writer import LogWriter

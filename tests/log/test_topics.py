@@ -26,7 +26,8 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.hand.link_frames import link_transforms
 from handctl.log.header import RunHeader
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.topics.transform_topics import link_frames
 from handctl.log.write.log_writer import LogWriter
 from handctl.programs.requests import target_request_text

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import synthetic_run
 
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 
 

@@ -16,7 +16,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import hand_path, load_hand
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import Program
 from handctl.programs.task import load_task

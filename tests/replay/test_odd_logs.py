@@ -20,7 +20,8 @@ from handctl.drives.frame import EXTENDED_FLAG
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from handctl.replay.limits_judgement import judge_by_limits
 from handctl.replay.log_execution import execute_log

@@ -16,7 +16,8 @@ import pytest
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from handctl.view.dashboard_picture import connect_client, wait_until_loaded
 from handctl.view.log_browser import browse_log

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.view.dashboard_picture import timeline_end
 from handctl.view.live_view import start_live_view

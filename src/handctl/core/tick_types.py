@@ -202,6 +202,11 @@ class Telemetry(NamedTuple):
     tip_force_sigma: Vector
     """(D,) standard deviation of the tip-equivalent force [N]."""
 
+    @property
+    def axis_lengths(self) -> tuple[int, ...]:
+        """Return the numbers of joints, tendons, motors and digits."""
+        return tuple(len(getattr(self, name)) for name in FIELD_BY_AXIS)
+
     def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
@@ -256,6 +261,11 @@ class PackedTelemetry:
     def __iter__(self) -> Iterator[Vector]:
         """Iterate over the telemetry fields in order."""
         return iter([self.numbers[field_slice] for field_slice in self.slices.values()])
+
+    @property
+    def axis_lengths(self) -> tuple[int, ...]:
+        """Return the numbers of joints, tendons, motors and digits."""
+        return self.slices.axis_lengths
 
     def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""

@@ -33,12 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.tick_types import (
-    FIELD_BY_AXIS,
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
     HandMode,
     IoEvent,
-    PackedTelemetry,
     Telemetry,
     TickEvent,
     TickIn,
@@ -50,11 +48,8 @@ from handctl.drives.frame_records import (
     NO_FRAMES,
     Frames,
     RecordArray,
-    WordRows,
-    frames_as_records,
 )
 from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
-from handctl.programs.requests import request_text
 from handctl.safety.safety_action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
@@ -87,8 +82,6 @@ FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 
 The size includes eight data bytes. Further data bytes of a long frame come after the frames.
 """
-_FRAME_WORDS = CLASSICAL_RECORD_BYTES // 8
-"""Number of words of eight bytes of a frame in a Tick message."""
 _CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_OFFSET = 15
@@ -97,15 +90,15 @@ _DATA_OFFSET = 16
 """Offset of the data bytes in a frame of a Tick message."""
 _DATA_WORD_DTYPE = np.dtype("<u8")
 """numpy type of the eight data bytes of a frame, as one word."""
-_SHORT_DATA_BYTES = 8
+SHORT_DATA_BYTES = 8
 """Number of data bytes in a frame of a Tick message."""
 _MAX_DATA_BYTES = 64
 """Number of data bytes in the longest CAN FD frame."""
 _DATA_MASK_BY_LENGTH = np.array(
-    [(1 << 8 * length) - 1 for length in range(_SHORT_DATA_BYTES + 1)], np.uint64
+    [(1 << 8 * length) - 1 for length in range(SHORT_DATA_BYTES + 1)], np.uint64
 )
 """Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
-_LONG_DATA_INDEXES = np.arange(_SHORT_DATA_BYTES, _MAX_DATA_BYTES)
+_LONG_DATA_INDEXES = np.arange(SHORT_DATA_BYTES, _MAX_DATA_BYTES)
 """Indexes of the payload bytes after the eighth."""
 _FRAMES_OFFSET = TICK_HEAD_STRUCT.size + 4
 """Offset of the received frames in a Tick message [bytes]."""
@@ -122,12 +115,9 @@ new_tuple = tuple.__new__
 
 The function `tuple.__new__` is faster than the constructor of the named tuple.
 """
-_COUNT_STRUCT = struct.Struct("<I")
-_COUNT_AND_PADDING_STRUCT = struct.Struct("<I4x")
-_NO_FRAMES = _COUNT_STRUCT.pack(0)
-_NO_LONG_DATA = _COUNT_STRUCT.pack(0)
-_SHORT_DATA_LENGTHS = bytes(range(9))
-"""Payload lengths of frames without long bytes."""
+COUNT_STRUCT = struct.Struct("<I")
+NO_LONG_DATA = COUNT_STRUCT.pack(0)
+"""Encoded number of long bytes of a tick whose frames have no long bytes."""
 
 
 class TickRecord(NamedTuple):
@@ -148,12 +138,7 @@ class TickRecord(NamedTuple):
     state_hash: bytes
 
 
-def record_bytes(kind: int, body: bytes) -> bytes:
-    """Return a record of the given kind."""
-    return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
-
-
-def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
+def long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
     """Return the mask (n, 56) of the used payload bytes after the eighth byte, for n frames.
 
     The mask is True for bytes that belong to the payload of the frame, and False beyond the end of
@@ -162,13 +147,8 @@ def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
     return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
 
-def _long_data(records: RecordArray) -> bytes:
-    """Return the payload bytes after the eighth byte of all frames, in order."""
-    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_data_mask(records)].tobytes())
-
-
 @functools.lru_cache(maxsize=64)
-def _eventless_message_tail(phase: str) -> bytes:
+def eventless_message_tail(phase: str) -> bytes:
     """Return the last bytes of a Tick message without events: the phase and three empty sequences.
 
     The last bytes depend only on the phase if they begin at a multiple of four bytes in the
@@ -179,131 +159,6 @@ def _eventless_message_tail(phase: str) -> bytes:
     for _ in range(3):
         writer.put_length(0)
     return bytes(writer.data)
-
-
-def _message_end(
-    start_offset: int, phase: str, tick_input: TickIn, events: tuple[TickEvent, ...]
-) -> bytes:
-    """Return the end of a Tick message: phase, io events, requests and events.
-
-    Args:
-        start_offset: offset at which the end begins in the body of the message [bytes]. The
-            alignment of the fields depends on this offset.
-        phase: grasp phase in the tick.
-        tick_input: inputs of the tick.
-        events: events of the tick.
-    """
-    writer = CdrWriter(start_offset)
-    writer.put_string(phase)
-    writer.put_length(len(tick_input.io_events))
-    for kind, location, number in tick_input.io_events:
-        writer.put_string(kind)
-        writer.put_string(location)
-        writer.put_number("q", number)
-    writer.put_strings(tuple(map(request_text, tick_input.requests)))
-    writer.put_length(len(events))
-    for event in events:
-        for text in event:
-            writer.put_string(text)
-    return bytes(writer.data)
-
-
-def pack_tick(tick_input: TickIn, tick_output: TickOut) -> bytes:
-    """Encode a tick as a handctl_msgs/Tick message.
-
-    Raises:
-        ValueError: state_hash is not 8 bytes long.
-        struct.error: a number does not fit into its field.
-    """
-    return b"".join(_message_parts(tick_input, tick_output))
-
-
-def _message_parts(tick_input: TickIn, tick_output: TickOut) -> list[bytes]:
-    """Encode a tick as a handctl_msgs/Tick message, and return the consecutive parts of the message.
-
-    This function raises the same errors as `pack_tick`.
-    """
-    received_rows = frames_as_records(tick_input.frames).rows
-    sent_rows = frames_as_records(tick_output.frames).rows
-    if len(tick_output.state_hash) != 8:
-        raise ValueError(f"state hash of {len(tick_output.state_hash)} bytes; expected 8")
-    tick_head = TICK_HEAD_STRUCT.pack(
-        tick_input.k,
-        tick_input.t_ns,
-        tick_input.late_ns,
-        tick_output.state_hash,
-        tick_output.mode,
-        tick_output.action,
-        len(received_rows),
-    )
-    received_frames = received_rows[:, :_FRAME_WORDS].tobytes()
-    sent_frames = sent_rows[:, :_FRAME_WORDS].tobytes()
-    # A slice with a stride reads the length of every frame without decoding the frames. If all
-    # frames are short, nothing remains when the short lengths are stripped.
-    lengths = (
-        received_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
-        + sent_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
-    )
-    message_parts = [
-        ENCAPSULATION_HEADER,
-        tick_head,
-        received_frames,
-        # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes.
-        # Without sent frames, the message has no padding to 8 bytes.
-        _COUNT_AND_PADDING_STRUCT.pack(len(sent_rows)) if len(sent_rows) else _NO_FRAMES,
-        sent_frames,
-        _long_payloads(received_rows, sent_rows)
-        if lengths.strip(_SHORT_DATA_LENGTHS)
-        else _NO_LONG_DATA,
-    ]
-    if tick_input.io_events or tick_input.requests or tick_output.events:
-        # The alignment of the texts does not count the encapsulation header.
-        start_offset = sum(map(len, message_parts)) - len(ENCAPSULATION_HEADER)
-        message_parts.append(
-            _message_end(start_offset, tick_output.phase, tick_input, tick_output.events)
-        )
-    else:
-        message_parts.append(_eventless_message_tail(tick_output.phase))
-    return message_parts
-
-
-def _long_payloads(received_rows: WordRows, sent_rows: WordRows) -> bytes:
-    """Encode the payload bytes after the eighth byte of all frames: number of bytes, bytes, padding to 4 bytes."""
-    long_data = b"".join([_long_data(Frames(rows).records) for rows in (received_rows, sent_rows)])
-    return _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-
-
-def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
-    """Encode a tick as a record for the pipe, with the telemetry after the Tick message.
-
-    This function raises the same errors as `pack_tick`.
-    """
-    message_parts = _message_parts(tick_input, tick_output)
-    message_size = sum(map(len, message_parts))
-    values = tick_output.telemetry.to_bytes()
-    body_size = TICK_SIZES_STRUCT.size + message_size + len(values)
-    return b"".join(
-        (
-            RECORD_FRAMING_STRUCT.pack(body_size, TICK_RECORD_KIND),
-            TICK_SIZES_STRUCT.pack(message_size, *_axis_lengths(tick_output.telemetry)),
-            *message_parts,
-            values,
-        )
-    )
-
-
-def pack_snapshot(tick_input: TickIn, data: bytes) -> bytes:
-    """Encode the controller's state after a tick as a record for the pipe."""
-    return record_bytes(
-        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_input.k, tick_input.t_ns) + data
-    )
-
-
-def _axis_lengths(telemetry: Telemetry | PackedTelemetry) -> tuple[int, ...]:
-    """Return the number of joints, of tendons, of motors and of digits in the telemetry."""
-    if isinstance(telemetry, PackedTelemetry):
-        return telemetry.slices.axis_lengths
-    return tuple(len(getattr(telemetry, name)) for name in FIELD_BY_AXIS)
 
 
 class MessageLayout(NamedTuple):
@@ -328,15 +183,15 @@ def message_layout(message: bytes) -> MessageLayout:
     Raises:
         struct.error: the message ends early.
     """
-    (received_count,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
+    (received_count,) = COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
     start = TICK_HEAD_STRUCT.size + 4
     end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received_count
-    (sent_count,) = _COUNT_STRUCT.unpack_from(message, end)
+    (sent_count,) = COUNT_STRUCT.unpack_from(message, end)
     # Before the sent frames, the message is padded to 8 bytes. Without sent frames, the message has
     # no padding to 8 bytes.
     sent_frames_start = end + 8 if sent_count else end + 4
     sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent_count
-    (size,) = _COUNT_STRUCT.unpack_from(message, sent_frames_end)
+    (size,) = COUNT_STRUCT.unpack_from(message, sent_frames_end)
     long_data = slice(sent_frames_end + 4, sent_frames_end + 4 + size)
     # The payload bytes after the eighth byte can end at any offset. The text that follows the
     # payload bytes is aligned to 4 bytes.
@@ -370,14 +225,14 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
     max_length = max(lengths)
     if max_length > _MAX_DATA_BYTES:
         raise ValueError(f"payload of {max_length} bytes, expected at most {_MAX_DATA_BYTES}")
-    if lengths.count(_SHORT_DATA_BYTES) < count:
+    if lengths.count(SHORT_DATA_BYTES) < count:
         _zero_unused_bytes(records)
-    if max_length > _SHORT_DATA_BYTES:
-        long_payload_mask = _long_data_mask(records)
+    if max_length > SHORT_DATA_BYTES:
+        long_payload_mask = long_data_mask(records)
         size = int(long_payload_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
-        records["data"][:, _SHORT_DATA_BYTES:][long_payload_mask] = np.frombuffer(
+        records["data"][:, SHORT_DATA_BYTES:][long_payload_mask] = np.frombuffer(
             long_data[:size], np.uint8
         )
         long_data = long_data[size:]
@@ -390,14 +245,14 @@ def _zero_unused_bytes(records: RecordArray) -> None:
     In a damaged file, the unused data bytes can have any value.
     """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
-    words &= _DATA_MASK_BY_LENGTH[np.minimum(records["length"], _SHORT_DATA_BYTES)]
+    words &= _DATA_MASK_BY_LENGTH[np.minimum(records["length"], SHORT_DATA_BYTES)]
 
 
 @functools.lru_cache(maxsize=256)
 def _phase_of_eventless_tail(message_tail: bytes) -> str | None:
     """Return the phase at the end of a Tick message without events, or None if the message has events."""
     phase = CdrReader(ENCAPSULATION_HEADER + message_tail).read_string()
-    return phase if _eventless_message_tail(phase) == message_tail else None
+    return phase if eventless_message_tail(phase) == message_tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
@@ -512,12 +367,12 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
         try:
             tick_head = TICK_HEAD_STRUCT.unpack_from(message, 4)
             sent_count_offset = _FRAMES_OFFSET + FRAME_RECORD_BYTES * tick_head[6]
-            (frame_count_sent,) = _COUNT_STRUCT.unpack_from(message, sent_count_offset)
+            (frame_count_sent,) = COUNT_STRUCT.unpack_from(message, sent_count_offset)
         except struct.error:
             return None
         start = sent_count_offset + 8 if frame_count_sent else sent_count_offset + 4
         long_size_offset = start + FRAME_RECORD_BYTES * frame_count_sent
-        if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
+        if message[long_size_offset : long_size_offset + 4] != NO_LONG_DATA:
             return None
         # The frames of all messages are joined and decoded in one call. After the decoding, the
         # frames are divided among the messages again at `end_indices`.
@@ -530,7 +385,7 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
         tick_heads.append(tick_head)
         tail_offsets.append(long_size_offset + 4)
     joined_frames = b"".join(frame_parts)
-    if max(joined_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
+    if max(joined_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > SHORT_DATA_BYTES:
         return None
     rows = _decode_frames(joined_frames, b"")[0].rows
     frames = [

@@ -20,7 +20,7 @@ from handctl.core.tick_types import IoEvent, TickIn, TickOut, TickRequest
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY, RunHeader
-from handctl.log.tick_record import pack_snapshot, pack_tick_record
+from handctl.log.tick_packing import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshot_topic import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.live_session import LiveProgram, import_spline_functions

@@ -15,7 +15,7 @@ from handctl.campaign.scenario_run import ScenarioResult
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.log.tick_record import pack_tick_record
+from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.output_files import write_text_atomically
 from handctl.session.exit_codes import ExitCode

@@ -19,12 +19,8 @@ from typing import Self
 from handctl.core.tick_types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.tick_record import (
-    END_RECORD_KIND,
-    FILE_RECORD_KIND,
-    HEADER_RECORD_KIND,
-    record_bytes,
-)
+from handctl.log.tick_packing import record_bytes
+from handctl.log.tick_record import END_RECORD_KIND, FILE_RECORD_KIND, HEADER_RECORD_KIND
 from handctl.log.write.recorder_start import RecorderProcess, get_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
@@ -92,6 +88,7 @@ class Recorder:
         self._messages: list[dict[str, object]] = []
         self._next_check_ns = 0
         self._unchecked_bytes = 0
+        self._max_unchecked_bytes = round(self._size * CHECKED_PIPE_SHARE)
         os.set_blocking(self._notes, False)
         self._poll = select.poll()
         self._poll.register(self._notes, select.POLLIN)
@@ -236,16 +233,16 @@ class Recorder:
         events = []
         now_ns = time.monotonic_ns()
         is_check_due = (
-            now_ns >= self._next_check_ns or self._unchecked_bytes > self._size * CHECKED_PIPE_SHARE
+            now_ns >= self._next_check_ns or self._unchecked_bytes > self._max_unchecked_bytes
         )
         if is_check_due and not self._ended:
             self._next_check_ns = now_ns + PROCESS_CHECK_PERIOD_NS
             self._unchecked_bytes = 0
             if self._poll.poll(0):
                 self._read_notes(0.0)
-            events += self._pipe_level_events()
-        if not self._messages and self.dropped == self._announced and not self._ended:
-            return tuple(events)
+            events = self._pipe_level_events()
+        if not (self._messages or self._ended or self.dropped != self._announced or events):
+            return ()
         events += [
             IoEvent("recorder", str(n["event"]), int(str(n["number"])))
             for n in self._messages
