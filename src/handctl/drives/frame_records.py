@@ -152,6 +152,8 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
 
 def concatenate_frames(frame_batches: Sequence[Frames]) -> Frames:
     """Join several sequences of frames to one sequence."""
+    if len(frame_batches) == 1:
+        return frame_batches[0]
     nonempty_batches = [batch for batch in frame_batches if len(batch)]
     if len(nonempty_batches) < 2:
         return nonempty_batches[0] if nonempty_batches else NO_FRAMES
