@@ -52,7 +52,7 @@ def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
     draw = np.random.default_rng(seed)
     digits = int(draw.integers(1, 6))
     progress = ProgramProgress.initial(digits, "zu früh")
-    cache = IdentityCache[object, bytes](serialized_bytes)
+    cache = SequenceCache[object](serialized_bytes)
     for _ in range(50):
         goals = (*progress.goals[1:], DigitGoal(rate=float(draw.normal())))
         progress = replace(

@@ -97,13 +97,13 @@ def _serialized_part(state_part: object) -> bytes:
     references to the same goal objects, so the bytes of the goals are cached.
     """
     if isinstance(state_part, ProgramProgress):
-        return join_serialized_fields(state_part, _serialized_field_cache)
+        return join_serialized_fields(state_part, _progress_field_cache)
     return serialized_bytes(state_part)
 
 
 # Most decisions are the same objects in many ticks, so the serialized form of each part is cached
 # by the identity of the object.
-_serialized_field_cache = IdentityCache[Any, bytes](serialized_bytes)
+_progress_field_cache = SequenceCache[Any](serialized_bytes)
 _serialized_bytes_cache = IdentityCache[Any, bytes](_serialized_part)
 _drives_cache, _goals_cache, _other_parts_cache = (
     SequenceCache[Any](_serialized_bytes_cache) for _ in range(3)

@@ -666,8 +666,10 @@ class Controller:
         progress = state.progress
         if old_progress is None or progress.goals is not old_progress.goals:
             write_goals(self.model, self.derived_constants.layout, state.block, progress.goals)
-        state.view("planned_contact")[...] = progress.contact
-        state.view("closing")[...] = progress.closing or 0
+        if old_progress is None or progress.contact is not old_progress.contact:
+            state.view("planned_contact")[...] = progress.contact
+        if old_progress is None or progress.closing is not old_progress.closing:
+            state.view("closing")[...] = progress.closing or 0
         state.run_integers[s.PROGRAM_HOLDS_OBJECT] = progress.grip is not None
         state.run_reals[s.SLIP_DETECTION_START] = progress.grip.ready if progress.grip else 0.0
         if progress.tare:

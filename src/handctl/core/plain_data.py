@@ -11,8 +11,9 @@ of other types.
 import enum
 import functools
 import marshal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -114,28 +115,33 @@ def serialized_bytes(value: Any) -> bytes:
 
 
 @functools.cache
-def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
-    """Return the bytes before the fields of a serialized dataclass, and the names of these fields."""
-    names = tuple([field.name for field in fields(type_) if field.init])
+def _serialized_header(type_: type) -> tuple[bytes, Callable[[Any], tuple[Any, ...]]]:
+    """Return the bytes before the fields of a serialized dataclass, and a function that reads these fields.
+
+    The dataclass has at least two fields.
+    """
+    names = [field.name for field in fields(type_) if field.init]
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
-    return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
+    return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), attrgetter(*names)
 
 
-def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
+def join_serialized_fields(
+    value: Any, serialize_fields: Callable[[Sequence[Any]], list[bytes]]
+) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    ``serialize_field`` can take the bytes of a field from a cache. With a cache, the function is
+    ``serialize_fields`` can take the bytes of a field from a cache. With a cache, the function is
     fast if most fields of ``value`` are the same objects as in the last call.
 
     Args:
         value: object of a dataclass.
-        serialize_field: function that returns ``serialized_bytes`` of a field.
+        serialize_fields: function that returns ``serialized_bytes`` of each field.
     """
     kind: type = type(value)
-    start, names = _serialized_header(kind)
+    start, read_fields = _serialized_header(kind)
     # In version 2 of the format of ``marshal``, a tuple is a mark, the number of items, and the
     # items.
-    return start + b"".join([serialize_field(getattr(value, name)) for name in names])
+    return start + b"".join(serialize_fields(read_fields(value)))
 
 
 def object_from_plain_data(value: Any) -> Any:

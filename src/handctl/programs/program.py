@@ -58,6 +58,17 @@ class ProgramProgress:
     grip: GripState | None = None
     task: Task | None = None
 
+    def with_touching(self, touching: tuple[int, ...]) -> "ProgramProgress":
+        """Return a copy with other counters ``touching``.
+
+        While a program waits, the counters change in every tick. The constructor takes a third of the
+        time of ``dataclasses.replace``.
+        """
+        return ProgramProgress(
+            self.step, self.since, self.goals, self.contact, touching, self.phase, self.finished, self.failure,
+            self.record, self.tare, self.closing, self.grip, self.task,
+        )  # fmt: skip
+
     @staticmethod
     def initial(digits: int, phase: str) -> "ProgramProgress":
         """Return the progress before the first step, without torque and without contact."""
@@ -203,8 +214,15 @@ Any duration is possible, because the sideways joints do not move.
 
 def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
     """Return the names of the tendons that are slack or have a tension below half of the tension floor."""
-    is_taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
-    return [name for name, ok in zip(model.hand.tendon_names, is_taut, strict=True) if not ok]
+    tendons = zip(
+        model.hand.tendon_names, estimate.is_slack.tolist(), estimate.tension.tolist(),
+        model.floor.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        name
+        for name, is_slack, tension, floor in tendons
+        if is_slack or not tension > 0.5 * floor  # also if the tension is NaN
+    ]
 
 
 def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:

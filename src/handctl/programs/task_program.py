@@ -134,7 +134,7 @@ class TaskProgram:
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
-        progress = replace(progress, touching=(ticks, *progress.touching[1:]))
+        progress = progress.with_touching((ticks, *progress.touching[1:]))
         if ticks * model.period >= TAUT_DURATION_S:
             return self._enter_phase(
                 model, replace(progress, touching=(0,) * len(model.digits)), estimate, t
