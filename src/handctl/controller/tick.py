@@ -111,6 +111,7 @@ class DerivedConstants:
         kernel_args: arguments of a compiled function after the state block: table positions of the
             state block, then ``kernel_constants``.
         prediction: prediction of the filter states.
+        torque_elements: elements of the commanded torques in the state block.
         wire_tables: signal tables of the drives' cyclic frames.
         copy_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
@@ -129,6 +130,7 @@ class DerivedConstants:
     kernel_constants: tuple[Vector, TableOffsets]
     kernel_args: tuple[TableOffsets, Vector, TableOffsets]
     prediction: FilterPrediction
+    torque_elements: slice
     wire_tables: WireTables
     copy_telemetry: TelemetryGatherer
     drive_index_by_id: dict[tuple[int, int], int]
@@ -167,6 +169,7 @@ class DerivedConstants:
             constants.layout.view(constants.block, "servo").astype(bool).tolist(),
             model.torque_gain,
         )
+        first_torque = layout.starts["tendon"] + s.COMMANDED_TORQUE * layout.axes["tendon"]
         frame_template = np.zeros((wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
         kernel_constants = (constants.block, constants.layout.offsets)
@@ -177,6 +180,7 @@ class DerivedConstants:
             kernel_constants=kernel_constants,
             kernel_args=(layout.offsets, *kernel_constants),
             prediction=FilterPrediction(model, layout),
+            torque_elements=slice(first_torque, first_torque + len(drives)),
             wire_tables=wire_tables,
             copy_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
@@ -762,7 +766,7 @@ class Controller:
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
                 state.run_integers[s.SYNC_COUNT] += 1
-        torque = state.tendon[s.COMMANDED_TORQUE]
+        torque = state.block[derived_constants.torque_elements]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)

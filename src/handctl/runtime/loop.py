@@ -393,7 +393,8 @@ class ControlLoop(Generic[S]):
         events = self.take_host_events()
         for bus in self.buses:
             frame_batches.append(bus.drain())
-            events += [IoEvent(*event) for event in bus.take_events()]
+            if bus_events := bus.take_events():
+                events += [IoEvent(*event) for event in bus_events]
         frames = concatenate_frames(frame_batches)
         return TickIn(k, k * self.period_ns, lateness_ns, frames, tuple(events))
 

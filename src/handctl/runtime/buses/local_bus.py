@@ -131,8 +131,10 @@ class LocalBus:
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
-        frame_batches = [self.early_frames] if self.early_frames else []
-        self.early_frames = NO_FRAMES
+        frame_batches = []
+        if self.early_frames is not NO_FRAMES:
+            frame_batches.append(self.early_frames)
+            self.early_frames = NO_FRAMES
         for _ in range(self._reads):
             partial_size = self._partial_record_bytes
             size = self._read(self._buffer[partial_size:] if partial_size else self._buffer)
