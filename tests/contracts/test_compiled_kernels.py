@@ -27,7 +27,6 @@ from handctl.compiled import (
     compile_kernels,
     kernel,
 )
-from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.streamed_motion import begin_segments
 from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
 from handctl.drives.frame import FDF
@@ -162,7 +161,7 @@ def hash_of_motion_segments() -> str:
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
-    layout = BlockLayout(STATE_SCHEMA, dict.fromkeys(axes, 3))
+    layout = STATE_SCHEMA.layout(dict.fromkeys(axes, 3))
     for i in range(200):
         block = layout.initial.copy()
         rows = layout.table(block, "coordinate")

@@ -137,7 +137,7 @@ def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
     """
     n = model.tendon_count
     joints = len(model.hand.joints)
-    return BlockLayout(STATE_SCHEMA, {
+    return STATE_SCHEMA.layout({
         "tendon": n,
         "joint": joints,
         "digit": len(model.digits),

@@ -15,6 +15,7 @@ positions of the tables in a block. Because a block is one array, it can be copi
 and stored as bytes. Two blocks can be compared field by field.
 """
 
+import functools
 import hashlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -108,12 +109,25 @@ class BlockSchema:
         return field.first_row
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
-        """Return the layout of the schema's tables, for given lengths of the axes."""
-        return BlockLayout(self, axes)
+        """Return the layout of the schema's tables, for given lengths of the axes.
+
+        Layouts with equal axes are the same object, because a search for gains builds thousands of
+        models of one hand.
+        """
+        return _layout_of_fields(self, len(self.fields), tuple(axes.items()))
 
     def rows(self, table_name: str) -> int:
         """Return the number of rows of a table."""
         return self._rows[table_name]
+
+
+@functools.lru_cache(maxsize=64)
+def _layout_of_fields(
+    schema: BlockSchema, field_count: int, axes: tuple[tuple[str, int], ...]
+) -> "BlockLayout":
+    """Return the layout of a schema with the given number of declared fields."""
+    assert len(schema.fields) == field_count
+    return BlockLayout(schema, dict(axes))
 
 
 class BlockLayout:

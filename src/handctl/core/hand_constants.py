@@ -40,7 +40,7 @@ Smaller entries are rounding errors.
 
 def layout_of_constants(model: HandModel) -> BlockLayout:
     """Return the layout of the block with the constants of a hand."""
-    return BlockLayout(CONSTANT_SCHEMA, {
+    return CONSTANT_SCHEMA.layout({
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
         "digit": len(model.digits),

@@ -15,6 +15,7 @@ zero.
 """
 
 import enum
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -374,6 +375,12 @@ class _LinearController:
         write_goal_torques(self.model, self.layout, self._constants, block)
 
 
+@functools.lru_cache(maxsize=4)
+def _linear_controller(model: HandModel) -> _LinearController:
+    """Return the linear controller of a model. All loops of a hand use the same controller."""
+    return _LinearController(model)
+
+
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
@@ -381,7 +388,7 @@ def _operating_point(
 
     The step sizes belong to the finite differences. Each state and each reading has a step size.
     """
-    controller = _LinearController(model)
+    controller = _linear_controller(model)
     operating_point = _operating_point_state(controller, tendon, kind)
 
     def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
