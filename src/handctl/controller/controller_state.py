@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.pending_gains import PendingGains
 from handctl.core import state_block as s
+from handctl.core import tick_stages
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
@@ -157,23 +158,10 @@ def drive_values(
 
     The result contains the arguments of ``DriveState.with_values``.
     """
-    elements = block.data
-    reals = cast(
-        "memoryview[float]", elements[layout.starts["tendon"] + n :: layout.axes["tendon"]]
+    position, velocity, torque, temperature, t_ns, count, *recheck = tick_stages.read_drive_values(
+        block, layout.offsets, n
     )
-    first_integer = layout.starts["tendon_int"] + n
-    integers = elements.cast("B").cast("q")[first_integer :: layout.axes["tendon"]]
-    return (
-        reals[s.POSITION],
-        reals[s.VELOCITY],
-        reals[s.REPORTED_TORQUE],
-        reals[s.TEMPERATURE],
-        integers[s.FEEDBACK_RECEIVED_NS],
-        integers[s.FEEDBACK_COUNT],
-        RecheckCursor(
-            integers[s.RECHECK_STEP], integers[s.RECHECK_DUE_NS], integers[s.RECHECK_TRIES]
-        ),
-    )
+    return position, velocity, torque, temperature, t_ns, count, RecheckCursor(*recheck)
 
 
 class ControllerState:

@@ -813,20 +813,28 @@ class Controller:
             n, count = encode_commands(state.block, *kernel_args, 0, 1)
             if n >= drive_count:
                 return Frames(frame_words[first_sent_row:count])  # all drives, as in most ticks
+        # Consecutive frames of state machines become records together, because the conversion of
+        # one batch takes as long as the conversion of a single frame.
         frame_batches: list[Frames] = []
+        unsent_frames: list[Frame] = []
         first_unsent_row = first_sent_row
         while n < drive_count:
             frames = self._advance_drive(state, n, target, float(torque[n]), t_ns)
-            if frames:
+            if frames and count > first_unsent_row:
                 frame_batches += [
+                    frames_as_records(unsent_frames),
                     Frames(frame_words[first_unsent_row:count]),
-                    frames_as_records(frames),
                 ]
+                unsent_frames = []
                 first_unsent_row = count
+            unsent_frames += frames
             n += 1
             if target == DriveTarget.ENABLE:
                 n, count = encode_commands(state.block, *kernel_args, n, count)
-        frame_batches.append(Frames(frame_words[first_unsent_row:count]))
+        frame_batches += [
+            frames_as_records(unsent_frames),
+            Frames(frame_words[first_unsent_row:count]),
+        ]
         return concatenate_frames(frame_batches)
 
     def _advance_drive(

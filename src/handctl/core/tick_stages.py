@@ -150,6 +150,30 @@ def store_drive_values(
         x.node_int[s.HAS_MALFORMED_FRAME, n] = 1
 
 
+@kernel("block", "layout", "count")
+def read_drive_values(
+    block: BlockArray, at: TableOffsets, n: int
+) -> tuple[float, float, float, float, int, int, int, int, int]:
+    """Return the numbers of a drive before a step of its state machine.
+
+    The result contains position, velocity, torque, temperature, reception time and number of the
+    feedback frames, and step, due time and tries of the repeated read-back, see
+    ``store_drive_values``.
+    """
+    x = state_tables(block, at)
+    return (
+        float(x.tendon[s.POSITION, n]),
+        float(x.tendon[s.VELOCITY, n]),
+        float(x.tendon[s.REPORTED_TORQUE, n]),
+        float(x.tendon[s.TEMPERATURE, n]),
+        int(x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]),
+        int(x.tendon_int[s.FEEDBACK_COUNT, n]),
+        int(x.tendon_int[s.RECHECK_STEP, n]),
+        int(x.tendon_int[s.RECHECK_DUE_NS, n]),
+        int(x.tendon_int[s.RECHECK_TRIES, n]),
+    )
+
+
 @kernel("block", "layout", "constants", "layout")
 def observe_tick(
     block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
