@@ -7,6 +7,7 @@ import numpy as np
 
 from handctl.compiled import kernel
 from handctl.core.tick_types import (
+    PackedTelemetry,
     TickEvent,
     TickIn,
     TickOut,
@@ -86,8 +87,9 @@ def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit into its field.
     """
-    received_rows = frames_as_records(tick_input.frames).rows
-    sent_rows = frames_as_records(tick_output.frames).rows
+    received, sent = tick_input.frames, tick_output.frames
+    received_rows = (received if isinstance(received, Frames) else frames_as_records(received)).rows
+    sent_rows = (sent if isinstance(sent, Frames) else frames_as_records(sent)).rows
     state_hash = tick_output.state_hash
     if len(state_hash) != 8:
         raise ValueError(f"state hash of {len(state_hash)} bytes; expected 8")
@@ -96,11 +98,11 @@ def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
     longest_payload = gather_frame_words(received_rows, sent_rows, frame_words)
     # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes, and the
     # number of sent frames takes a whole word. Without sent frames, the number takes 4 bytes.
-    frames = frame_words.data
+    frames: Any = frame_words
     frame_bytes = frame_words.nbytes
     if not sent_count:
         frame_bytes -= 4
-        frames = frames.cast("B")[:frame_bytes]
+        frames = frame_words.data.cast("B")[:frame_bytes]
     long_data = NO_LONG_DATA
     if longest_payload > SHORT_DATA_BYTES:
         long_data = _long_payloads(received_rows, sent_rows)
@@ -113,9 +115,13 @@ def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
         tail = eventless_message_tail(tick_output.phase)
     message_size += len(tail)
     telemetry = tick_output.telemetry
-    values = telemetry.to_bytes()
+    values = (
+        telemetry.numbers.data
+        if isinstance(telemetry, PackedTelemetry)
+        else memoryview(telemetry.to_bytes())
+    )
     record_head = _RECORD_HEAD_STRUCT.pack(
-        TICK_SIZES_STRUCT.size + message_size + len(values),
+        TICK_SIZES_STRUCT.size + message_size + values.nbytes,
         TICK_RECORD_KIND,
         message_size,
         *telemetry.axis_lengths,

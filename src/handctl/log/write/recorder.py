@@ -85,7 +85,8 @@ class Recorder:
         self._line = b""
         self._ended = self._end_reported = self._filling = False
         self._announced = self.dropped = 0
-        self._messages: list[dict[str, object]] = []
+        self._event_notes: list[dict[str, object]] = []
+        self._other_notes: list[dict[str, object]] = []
         self._next_check_ns = 0
         self._unchecked_bytes = 0
         self._max_unchecked_bytes = round(self._size * CHECKED_PIPE_SHARE)
@@ -124,8 +125,8 @@ class Recorder:
             if not self._send(header, START_TIMEOUT_S):
                 raise LogError("the recorder process does not read", str(self._path))
             self._read_notes(START_TIMEOUT_S)
-            if not any("ready" in note for note in self._messages):
-                errors = [str(note["error"]) for note in self._messages if "error" in note]
+            if not any("ready" in note for note in self._other_notes):
+                errors = [str(note["error"]) for note in self._other_notes if "error" in note]
                 if not errors:
                     failure_text = (
                         "has ended at its start"
@@ -201,7 +202,9 @@ class Recorder:
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
-                self._rest = data[os.write(self._pipe, data) :]
+                written = os.write(self._pipe, data)
+                if written < len(data):
+                    self._rest = data[written:]
                 return True
         except BlockingIOError:
             pass
@@ -230,25 +233,24 @@ class Recorder:
             error: a write to the log file has failed. Value: errno.
             misshapen: the telemetry of a tick does not have the shape that the header describes.
         """
-        events = []
         now_ns = time.monotonic_ns()
         is_check_due = (
             now_ns >= self._next_check_ns or self._unchecked_bytes > self._max_unchecked_bytes
         )
+        if not (is_check_due or self._ended or self.dropped != self._announced):
+            return ()  # as in most ticks
+        events = []
         if is_check_due and not self._ended:
             self._next_check_ns = now_ns + PROCESS_CHECK_PERIOD_NS
             self._unchecked_bytes = 0
             if self._poll.poll(0):
                 self._read_notes(0.0)
             events = self._pipe_level_events()
-        if not (self._messages or self._ended or self.dropped != self._announced or events):
-            return ()
         events += [
-            IoEvent("recorder", str(n["event"]), int(str(n["number"])))
-            for n in self._messages
-            if "event" in n
+            IoEvent("recorder", str(note["event"]), int(str(note["number"])))
+            for note in self._event_notes
         ]
-        self._messages = [note for note in self._messages if "event" not in note]
+        self._event_notes = []
         if self.dropped > self._announced:
             events.append(IoEvent("recorder", "dropped", self.dropped - self._announced))
             self._announced = self.dropped
@@ -295,7 +297,9 @@ class Recorder:
                 self._ended = True
                 return
             *lines, self._line = (self._line + data).split(b"\n")
-            self._messages += [json.loads(line) for line in lines]
+            for line in lines:
+                note = json.loads(line)
+                (self._event_notes if "event" in note else self._other_notes).append(note)
 
     def close(
         self, end_reason: str, final_metadata: Mapping[str, str] | None = None
@@ -324,7 +328,7 @@ class Recorder:
             self._child.wait()
         self._read_notes(0.0)
         self._close_note_pipe()
-        summary = next((note["summary"] for note in self._messages if "summary" in note), {})
+        summary = next((note["summary"] for note in self._other_notes if "summary" in note), {})
         assert isinstance(summary, dict)
         size = self._path.stat().st_size if self._path.exists() else 0
         return {

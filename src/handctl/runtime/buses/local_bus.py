@@ -283,10 +283,11 @@ class LocalBus:
                     for can_id, data, flags, _, _ in frames
                 ]
             )
-        if len(frames) > self._out_structs.count:
-            self._allocate_send_buffer(2 * len(frames))
+        count = len(frames.rows)
+        if count > self._out_structs.count:
+            self._allocate_send_buffer(2 * count)
         self._out_structs.write(frames)
-        return self._out[: CANFD_FRAME_BYTES * len(frames)]
+        return self._out[: CANFD_FRAME_BYTES * count]
 
     def _keep_partial_record(
         self, unsent_bytes: bytes | memoryview, sent_size: int, frames: int
