@@ -20,6 +20,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from benchmarks.writers.library_writers import WRITER_BY_LIBRARY, LogMessage
 from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
+from handctl.compiled import compile_kernels
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_packing import pack_tick_record
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT
@@ -40,6 +41,7 @@ RECORDER_PAUSE_S = 0.03
 
 def main(description: str) -> None:
     """Measure the CPU time of all log writers, and print the results."""
+    compile_kernels()
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument(
         "--quick",
