@@ -20,6 +20,7 @@ import numpy as np
 import psutil
 import synthetic_run
 
+from handctl.compiled import compile_kernels
 from handctl.core.tick_types import (
     TELEMETRY_FIELDS,
     HandMode,
@@ -62,6 +63,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
         content of the log, number of dropped ticks, fraction of one core that the recorder uses, lateness
         of the control loop [us].
     """
+    compile_kernels()  # as before every run: a compilation during a tick would make the tick late
     ticks = [
         packed_tick(*tick)
         for tick in synthetic_run.SyntheticRunTicks(

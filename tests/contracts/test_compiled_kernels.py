@@ -236,6 +236,26 @@ print(before, [hasattr(kernel, "py_func") for kernel in kernels], digest)
     assert output.strip() == f"[True, True, True] [False, False, True] {digest}"
 
 
+def test_a_run_knows_all_kernels_of_its_loop_before_it_compiles() -> None:
+    """A kernel that is imported after the compilation would be loaded in the middle of a tick.
+
+    To load a kernel takes some tenths of a second.
+    """
+    script = """
+import handctl.session.run
+from handctl import compiled
+before = set(compiled._KERNEL_DISPATCHERS)
+import handctl.log.tick_packing, handctl.runtime.buses.local_bus, handctl.runtime.buses.socketcan
+import handctl.drives.signals, handctl.controller.target_streams, handctl.hand.rigid_body
+print(set(compiled._KERNEL_DISPATCHERS) - before)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    output = subprocess.check_output(
+        [sys.executable, "-c", script], env=environment, text=True, timeout=120
+    )
+    assert output.strip() == "set()"
+
+
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
     """A kernel refuses a non-contiguous array.
 
