@@ -372,7 +372,7 @@ def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     if protocol in ("mit", "moteus", "robstride"):
         protocol_state = protocol_state._replace(is_configured=True)
     if protocol == "cia402":
-        cursor = protocol_state.cursor._replace(step=len(drive.steps))
+        cursor = protocol_state.cursor._replace(step=len(drive.setup_steps))
         protocol_state = protocol_state._replace(
             cursor=cursor, power_state=cia402.OPERATION_ENABLED, life_sign_ns=0
         )

@@ -12,6 +12,7 @@ import random
 import shutil
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from handctl.drives.frame import FDF
 from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs
-from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
+from tests.contracts.random_hands import TICKS_PER_HAND, RandomHand, tick_hashes
 
 REPOSITORY = Path(__file__).parents[2]
 GOLDEN_LOGS = REPOSITORY / "logs" / "golden"
@@ -183,6 +184,19 @@ def hash_of_motion_segments() -> str:
         )
         digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
+
+
+@pytest.mark.parametrize("tendons", [1, 2, 5, 11, 23])
+def test_a_random_hand_of_each_protocol_begins_its_ticks(tendons: int) -> None:
+    """The random hands of the test above have drives of five protocols.
+
+    The test above is slow, so most test runs leave it out. In a test run without it, a random hand
+    used an attribute of a drive that had been renamed.
+    """
+    seed = dict(DAILY_RANDOM_HANDS)[tendons]
+    with np.errstate(all="ignore"):
+        hashes = list(islice(RandomHand(tendons, seed).hash_ticks(), 3))
+    assert len(set(hashes)) == 3
 
 
 def test_interpreted_kernels_begin_the_same_motions() -> None:
