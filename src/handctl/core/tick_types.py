@@ -211,6 +211,11 @@ class Telemetry(NamedTuple):
         """Return all telemetry fields in order, as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
 
+    @property
+    def buffer(self) -> memoryview:
+        """Return the numbers of ``to_bytes``, as a memoryview."""
+        return memoryview(self.to_bytes())
+
 
 FIELD_BY_AXIS = "q", "tension", "motor_torque", "contact"
 """One telemetry field for each axis, in the order joint, tendon, motor, digit."""
@@ -270,6 +275,11 @@ class PackedTelemetry:
     def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return self.numbers.tobytes()
+
+    @property
+    def buffer(self) -> memoryview:
+        """Return the numbers of ``to_bytes``, as a memoryview. The numbers are not copied."""
+        return self.numbers.data
 
 
 TELEMETRY_FIELDS = Telemetry._fields

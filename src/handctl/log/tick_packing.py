@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from handctl.compiled import kernel
+from handctl.compiled import kernel, kernel_helper
 from handctl.core.tick_types import (
-    PackedTelemetry,
     TickEvent,
     TickIn,
     TickOut,
@@ -63,20 +62,22 @@ def gather_frame_words(received_rows: WordRows, sent_rows: WordRows, words: Word
     Returns:
         Length of the longest payload [bytes].
     """
-    at = 0
+    received_end = FRAME_WORDS * len(received_rows)
+    words[0, received_end] = len(sent_rows)
+    return max(
+        _copy_frame_words(received_rows, words, 0),
+        _copy_frame_words(sent_rows, words, received_end + 1),
+    )
+
+
+@kernel_helper
+def _copy_frame_words(rows: WordRows, words: WordRows, first_word: int) -> int:
+    """Copy the words of frames to a position in ``words``, and return the length of the longest payload [bytes]."""
     longest: Any = 0
-    for r in range(len(received_rows)):
+    for r in range(len(rows)):
         for word in range(FRAME_WORDS):
-            words[0, at] = received_rows[r, word]
-            at += 1
-        longest = max(longest, np.int64(received_rows[r, ID_AND_FLAGS_WORD]) >> LENGTH_SHIFT)
-    words[0, at] = len(sent_rows)
-    at += 1
-    for r in range(len(sent_rows)):
-        for word in range(FRAME_WORDS):
-            words[0, at] = sent_rows[r, word]
-            at += 1
-        longest = max(longest, np.int64(sent_rows[r, ID_AND_FLAGS_WORD]) >> LENGTH_SHIFT)
+            words[0, first_word + FRAME_WORDS * r + word] = rows[r, word]
+        longest = max(longest, np.int64(rows[r, ID_AND_FLAGS_WORD]) >> LENGTH_SHIFT)
     return int(longest)
 
 
@@ -87,9 +88,8 @@ def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit into its field.
     """
-    received, sent = tick_input.frames, tick_output.frames
-    received_rows = (received if isinstance(received, Frames) else frames_as_records(received)).rows
-    sent_rows = (sent if isinstance(sent, Frames) else frames_as_records(sent)).rows
+    received_rows = frames_as_records(tick_input.frames).rows
+    sent_rows = frames_as_records(tick_output.frames).rows
     state_hash = tick_output.state_hash
     if len(state_hash) != 8:
         raise ValueError(f"state hash of {len(state_hash)} bytes; expected 8")
@@ -115,11 +115,7 @@ def pack_tick_record(tick_input: TickIn, tick_output: TickOut) -> bytes:
         tail = eventless_message_tail(tick_output.phase)
     message_size += len(tail)
     telemetry = tick_output.telemetry
-    values = (
-        telemetry.numbers.data
-        if isinstance(telemetry, PackedTelemetry)
-        else memoryview(telemetry.to_bytes())
-    )
+    values = telemetry.buffer
     record_head = _RECORD_HEAD_STRUCT.pack(
         TICK_SIZES_STRUCT.size + message_size + values.nbytes,
         TICK_RECORD_KIND,
