@@ -371,7 +371,8 @@ def _call_without_dispatcher(kernel_of_tick: _UncompiledKernel) -> None:
     and the element size of each array.
 
     A kernel that other kernels call keeps its dispatcher, because numba needs the dispatcher to
-    compile the other kernels.
+    compile the other kernels. Callers must use the name in the module of the kernel, because a name
+    that another module has imported still refers to the dispatcher.
     """
     if not any(_NUMBA_TYPES[name] in kernel_of_tick.types for name in _TICK_ARGUMENTS):
         return

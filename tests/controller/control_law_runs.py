@@ -113,7 +113,7 @@ def run_control_law(
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
-    controller_of(model)._compute_torques(state, state.mode, action, 1)
+    controller_of(model)._compute_torques(state, action, 1)
 
 
 def run_control_law_tick(

@@ -145,7 +145,7 @@ def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
 
     The constants and their layout are the last two arguments of every stage of a tick.
     """
-    return controller_of(model).derived_constants.kernel_constants
+    return controller_of(model).derived_constants.kernel_args[1:]
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:

@@ -157,8 +157,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         state_after.view("tension")[...] = tension
         tick_stages.evaluate_goals(
             state_after.block,
-            state_after.layout.offsets,
-            *controller.derived_constants.kernel_constants,
+            *controller.derived_constants.kernel_args,
             int(action),
         )
         return state_after

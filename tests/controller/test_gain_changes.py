@@ -160,10 +160,10 @@ def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedCo
     calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
     def record_call(
-        self: Controller, state: ControllerState, mode: HandMode, action: SafetyAction, ticks: int
+        self: Controller, state: ControllerState, action: SafetyAction, ticks: int
     ) -> None:
         state_before = state.copy()
-        real(self, state, mode, action, ticks)
+        real(self, state, action, ticks)
         calls.append((self, state_before, state.copy(), action, ticks))
 
     monkeypatch.setattr(Controller, "_compute_torques", record_call)
@@ -202,7 +202,7 @@ def test_a_change_makes_no_step_in_torque(
     state_with_trim = state_before.copy()
     state_with_trim.view("trim")[...] = bench.state.view("trim")
     state_with_trim.run_integers[s.TRIM_ACTIVE] = 1
-    new_controller._compute_torques(state_with_trim, state_with_trim.mode, action, ticks)
+    new_controller._compute_torques(state_with_trim, action, ticks)
     np.testing.assert_allclose(
         state_with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
     )

@@ -269,8 +269,7 @@ def state_after_fusion(
     state_after = state.copy()
     _fuse_encoders(
         state_after.block,
-        state_after.layout.offsets,
-        *controller_of(model).derived_constants.kernel_constants,
+        *controller_of(model).derived_constants.kernel_args,
         covariance_columns,
         angle_deviations,
         t_ns,

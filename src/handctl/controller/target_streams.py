@@ -6,8 +6,9 @@ import numpy as np
 
 from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
+from handctl.core.control_law import streamed_motion
 from handctl.core.control_law.digit_goal import GoalKind
-from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
+from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickEvent, Vector
 from handctl.programs.program import ProgramProgress, coordinates_from_excursion
@@ -272,7 +273,7 @@ def _begin_segment(
     # The time between two targets that arrive together is unrelated to the rate of the stream. The
     # time between two targets counts as at least half a period of the stream.
     target_interval = max(target_interval, 0.5 * stream.period) if is_steady else math.inf
-    return begin_segments(
+    return streamed_motion.begin_segments(
         state.block, state.layout.offsets, goal_coordinates, held_coordinates, start_time, duration, target_interval,
         math.radians(model.hand.stream.speed_deg_s), int(stream.interpolation == "minimum_jerk"),
     )  # fmt: skip

@@ -106,10 +106,8 @@ class DerivedConstants:
         limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
-        kernel_constants: block and table positions of ``constants``, the arguments of compiled
-            functions.
         kernel_args: arguments of a compiled function after the state block: table positions of the
-            state block, then ``kernel_constants``.
+            state block, then block and table positions of ``constants``.
         prediction: prediction of the filter states.
         torque_elements: elements of the commanded torques in the state block.
         wire_tables: signal tables of the drives' cyclic frames.
@@ -127,7 +125,6 @@ class DerivedConstants:
     limits: SafetyLimits
     layout: BlockLayout
     constants: HandConstants
-    kernel_constants: tuple[Vector, TableOffsets]
     kernel_args: tuple[TableOffsets, Vector, TableOffsets]
     prediction: FilterPrediction
     torque_elements: slice
@@ -143,13 +140,11 @@ class DerivedConstants:
         self, model: HandModel, limits: SafetyLimits, constants: HandConstants
     ) -> "DerivedConstants":
         """Return a copy for new gains: a model, thresholds and constants that replace the present ones."""
-        kernel_constants = (constants.block, constants.layout.offsets)
         return replace(
             self,
             limits=limits,
             constants=constants,
-            kernel_constants=kernel_constants,
-            kernel_args=(self.layout.offsets, *kernel_constants),
+            kernel_args=(self.layout.offsets, constants.block, constants.layout.offsets),
             prediction=FilterPrediction(model, self.layout),
         )
 
@@ -172,13 +167,11 @@ class DerivedConstants:
         first_torque = layout.starts["tendon"] + s.COMMANDED_TORQUE * layout.axes["tendon"]
         frame_template = np.zeros((wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
-        kernel_constants = (constants.block, constants.layout.offsets)
         return DerivedConstants(
             limits=limits,
             layout=layout,
             constants=constants,
-            kernel_constants=kernel_constants,
-            kernel_args=(layout.offsets, *kernel_constants),
+            kernel_args=(layout.offsets, constants.block, constants.layout.offsets),
             prediction=FilterPrediction(model, layout),
             torque_elements=slice(first_torque, first_torque + len(drives)),
             wire_tables=wire_tables,
@@ -359,7 +352,7 @@ class Controller:
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        if state.decisions.progress is not last_state.decisions.progress:
+        if state.progress is not last_state.progress:
             self._write_progress(state, last_state.progress)
         tick_in_progress.action = action
         tick_in_progress.events = (
@@ -377,11 +370,10 @@ class Controller:
             )
         if state.decisions.pending_gains:
             tick_in_progress.state_before_torques = state.copy()
-        mode = state.mode
         self._compute_torques(
-            state, mode, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
+            state, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
         )
-        tick_in_progress.sent_frames = self._encode_frames(state, mode, tick_input.t_ns)
+        tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Return the state after the tick, and the output of the tick. See ``TickInProgress.conclude``.
@@ -399,7 +391,7 @@ class Controller:
         derived_constants = self.derived_constants
         tick_stages.store_commands(state.block, *derived_constants.kernel_args)
         mode = state.mode
-        phase = state.decisions.progress.phase if mode == ACTIVE else mode.name.lower()
+        phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         tick_output = TickOut(
             tick_in_progress.sent_frames,
             mode,
@@ -444,7 +436,7 @@ class Controller:
         )
         tick_stages.observe_tick(block, *kernel_args)
         tick_stages.correct_tension_estimate(block, *kernel_args)
-        if state.run_integers[s.FILTER_STARTED]:
+        if state.has_started:
             derived_constants.prediction.predict(block, missed_ticks)
         if tick_stages.conclude_estimate(block, *kernel_args):
             second_controller_signs += detect_unsolicited_replies(
@@ -591,7 +583,7 @@ class Controller:
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
         # Before a load cell has been tared, it can read any value.
-        state.run_integers[s.ARE_CELLS_TARED] = state.decisions.progress.phase != TARE_PHASE
+        state.run_integers[s.ARE_CELLS_TARED] = state.progress.phase != TARE_PHASE
         derived_constants = self.derived_constants
         evidence = derived_constants.fault_evidence
         demanded_action = tick_stages.find_faults(
@@ -648,14 +640,14 @@ class Controller:
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
-        t = state.run_reals[s.GOAL_TIME] + self.model.period
-        present_progress = state.decisions.progress
+        t = state.goal_time + self.model.period
+        present_progress = state.progress
         progress, events = self.program.advance(
             self.model, present_progress, state.estimate, state.measurements, t
         )
         if progress is not present_progress:
             state.decide(progress=progress)
-        state.run_reals[s.GOAL_TIME] = t
+        state.goal_time = t
         return events
 
     def _write_progress(
@@ -681,13 +673,12 @@ class Controller:
 
     # command
 
-    def _compute_torques(
-        self, state: ControllerState, mode: HandMode, action: SafetyAction, ticks: int
-    ) -> None:
+    def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
         The motor torques are 0 unless the hand is active or relaxing.
         """
+        mode = state.mode
         derived_constants = self.derived_constants
         layout = derived_constants.layout
         if mode not in _MODES_WITH_GOALS:
@@ -695,8 +686,7 @@ class Controller:
                 state.block, *derived_constants.kernel_args, 0.0, 0, ticks
             )
             return
-        goals = state.decisions.progress.goals
-        sample_trajectories(self.model, layout, state.block, goals, state.run_reals[s.GOAL_TIME])
+        sample_trajectories(self.model, layout, state.block, state.progress.goals, state.goal_time)
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if mode == RELAX else (0.0, False)
         )
@@ -731,7 +721,7 @@ class Controller:
             return unfinished_design.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
-            other_controller._compute_torques(state_before_torques, state.mode, action, ticks)
+            other_controller._compute_torques(state_before_torques, action, ticks)
             step = (
                 state.tendon[s.COMMANDED_TORQUE] - state_before_torques.tendon[s.COMMANDED_TORQUE]
             ) / self.model.tendon_constants.spool_radius
@@ -742,13 +732,14 @@ class Controller:
 
     # encode
 
-    def _encode_frames(self, state: ControllerState, mode: HandMode, t_ns: int) -> Frames:
+    def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
         """Return the frames of the tick: SYNC, then the command of each drive.
 
         In the mode CUT, the frames that cut the torque come first, SYNC follows, and no commands to
         drives are sent. In the modes SILENT and DONE, only the frames of ``shutdown_frames`` are
         sent.
         """
+        mode = state.mode
         if mode in _MODES_WITHOUT_COMMANDS:
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         derived_constants = self.derived_constants

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.estimation.contact_force import largest_grip_opening
+from handctl.core.estimation import contact_force
 from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.tick_types import Vector
 
@@ -183,7 +183,9 @@ class HandEstimate(_StateView):
 
         The function ``contact_force.largest_grip_opening`` explains the result.
         """
-        return largest_grip_opening(self.block, self.layout.offsets, closing_sign, held_tension)
+        return contact_force.largest_grip_opening(
+            self.block, self.layout.offsets, closing_sign, held_tension
+        )
 
     @property
     def grip_travel(self) -> Vector:

@@ -1,9 +1,8 @@
 """Counts of lost frames, malformed frames and frames with unknown identifiers.
 
 Each node has an integer with one bit for each recent tick. A bit is 1 if a frame of the node was
-lost in the tick of the bit. Bit 0 belongs to the newest tick. A second
-integer of each node has the same form. In this integer, a bit is 1 if the node sent a malformed
-frame in the tick of the bit.
+lost in the tick of the bit. Bit 0 belongs to the newest tick. A second integer of each node has the
+same form. In this integer, a bit is 1 if the node sent a malformed frame in the tick of the bit.
 """
 
 from handctl.compiled import kernel_helper
