@@ -832,20 +832,21 @@ class Controller:
         self, state: ControllerState, n: int, target: DriveTarget, torque: float, t_ns: int
     ) -> Sequence[Frame]:
         """Advance the state machine of a drive, and return the frames that the drive must receive."""
-        drive_state = state.drive(n)
+        state_before = state.drive(n)
         drive = self.drives[n]
         if (
-            drive_state.phase == DrivePhase.FAULT
+            state_before.phase == DrivePhase.FAULT
             and state.is_clearing_errors
             and state.mode == HandMode.INVENTORY
         ):
-            drive_state, frames = drive.clear(drive_state)
+            drive_state, frames = drive.clear(state_before)
         else:
-            drive_state, frames = drive.advance(drive_state, t_ns, target, torque)
+            drive_state, frames = drive.advance(state_before, t_ns, target, torque)
             servos = self.derived_constants.wire_tables.servos
             if servos[n, 0] < servos[n, 1]:
                 send_torque_only(state, n)
-        self.store_drive_state(state, n, drive_state)
+        if drive_state is not state_before:
+            self.store_drive_state(state, n, drive_state)
         return frames
 
 

@@ -160,6 +160,22 @@ class DriveState(NamedTuple):
             self.error, self.error_text, self.misread_frame_count, self.protocol_state,
         )  # fmt: skip
 
+    def with_feedback(
+        self, position: float, velocity: float, torque: float, temperature: float, t_ns: int
+    ) -> "DriveState":
+        """Return a copy of the drive state with the values of a feedback frame.
+
+        Args:
+            position: position of the spool [rad].
+            velocity: velocity of the spool [rad/s].
+            torque: torque [N m].
+            temperature: temperature of the hottest sensor [degC].
+            t_ns: reception time of the feedback [ns].
+        """
+        return self.with_values(
+            position, velocity, torque, temperature, t_ns, self.feedback_count + 1, self.recheck
+        )
+
 
 def is_confirmed_off(state: DriveState) -> bool:
     """Return True if a drive with target DISABLE has reported that it makes no torque.

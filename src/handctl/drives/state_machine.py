@@ -176,6 +176,8 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """
     progress: EnablingProgress = state.protocol_state
     phase = ENABLED if progress.may_be_enabled else state.phase
+    if progress.is_disabling and phase == state.phase:
+        return state
     disabling_start_ns = progress.disable_command_ns if progress.is_disabling else t_ns
     return state._replace(
         phase=phase,
@@ -199,6 +201,16 @@ def state_when_off(
         error_text: text of the error ``error_code``.
     """
     progress: EnablingProgress = state.protocol_state
+    may_change = (
+        has_dropped_out
+        or state.phase != READY
+        or state.error
+        or progress.is_enable_sent
+        or progress.enabled_by_other_host
+        or progress.errors_to_ignore
+    )
+    if not may_change:
+        return state  # most reports come from a drive that waits in the phase READY
     progress_when_off = progress._replace(
         is_enable_sent=False, enabled_by_other_host=False, errors_to_ignore=0
     )

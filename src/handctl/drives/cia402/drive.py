@@ -407,11 +407,8 @@ class Cia402Drive:
         if progress.cursor.step < len(self.setup_steps):
             return state
         _, _, position, torque = self.feedback.unpack(frame.data)
-        next_state = state._replace(
-            position=position,
-            torque=torque,
-            feedback_t_ns=frame.t_ns,
-            feedback_count=state.feedback_count + 1,
+        next_state = state.with_feedback(
+            position, state.velocity, torque, state.temperature, frame.t_ns
         )
         power_state = codec.power_state(int.from_bytes(frame.data[:2], "little"))
         return apply_power_state(

@@ -342,14 +342,7 @@ class CubemarsDrive:
             temperature = math.nan
             error_code = 0.0
         error = int(error_code)
-        state_with_feedback = state._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=temperature,
-            feedback_t_ns=t_ns,
-            feedback_count=state.feedback_count + 1,
-        )
+        state_with_feedback = state.with_feedback(position, velocity, torque, temperature, t_ns)
         next_state = self._on_answer(state_with_feedback, state.protocol_state)
         if not error:
             return next_state

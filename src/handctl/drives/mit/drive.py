@@ -333,15 +333,7 @@ class MitDrive:
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not get_progress(state).is_configured:
             position = velocity = torque = math.nan
-        next_state = state._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=hot,
-            feedback_t_ns=t_ns,
-            feedback_count=state.feedback_count + 1,
-        )
-        return apply_status(next_state, nibble)
+        return apply_status(state.with_feedback(position, velocity, torque, hot, t_ns), nibble)
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -358,7 +350,9 @@ class MitDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.torque_cut_frames()
-        progress = progress._replace(is_disabling=False)
+        if progress.is_disabling:
+            progress = progress._replace(is_disabling=False)
+            state = state._replace(protocol_state=progress)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, protocol_state=MitProgress()), (
                 self._refresh_frame(),
@@ -384,14 +378,12 @@ class MitDrive:
             and target == ENABLE
             and not (does_watchdog_need_commands and progress.errors_to_ignore)
         ):
-            enabling_state = start_enabling(
-                state._replace(protocol_state=progress), self.node_id, t_ns
-            )
+            enabling_state = start_enabling(state, self.node_id, t_ns)
             return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
         if does_watchdog_need_commands and not clear_frames:
-            return state._replace(protocol_state=progress), self.torque_cut_frames()
+            return state, self.torque_cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
-        return state._replace(protocol_state=progress), (*clear_frames, self._refresh_frame())
+        return state, (*clear_frames, self._refresh_frame())
 
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int
@@ -401,9 +393,7 @@ class MitDrive:
         If the motor is enabled, the host first disables the motor.
         """
         if progress.enabled_by_other_host:
-            next_state = state._replace(
-                error_text="enabled, and does not disable", protocol_state=progress
-            )
+            next_state = state._replace(error_text="enabled, and does not disable")
             return next_state, self.torque_cut_frames()
         if progress.cursor.step >= len(self.required_settings):
             cursor, data, unanswered = registers.next_serial_request(
@@ -417,9 +407,7 @@ class MitDrive:
             progress.cursor, self.required_settings, self.node_id, t_ns
         )
         if problem:
-            return enter_fault(
-                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
-            ), ()
+            return enter_fault(state, SETTING_MISMATCH_ERROR, problem), ()
         text = (
             WATCHDOG_FIRES_WHILE_DISABLED_TEXT
             if state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT

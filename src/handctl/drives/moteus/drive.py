@@ -276,14 +276,7 @@ class MoteusDrive:
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        next_state = state._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=max(board, motor),
-            feedback_t_ns=t_ns,
-            feedback_count=state.feedback_count + 1,
-        )
+        next_state = state.with_feedback(position, velocity, torque, max(board, motor), t_ns)
         return apply_mode(next_state, int(status[1]), int(status[3]))
 
     def _requested_setting(
@@ -395,7 +388,9 @@ class MoteusDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.torque_cut_frames()
-        progress = progress._replace(is_disabling=False)
+        if progress.is_disabling:
+            progress = progress._replace(is_disabling=False)
+            state = state._replace(protocol_state=progress)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, protocol_state=MoteusProgress()), (
                 self._frame_to_drive(codec.QUERY_SUBFRAMES),
@@ -403,16 +398,14 @@ class MoteusDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling_state = start_enabling(
-                state._replace(protocol_state=progress), self.node_id, t_ns
-            )
+            enabling_state = start_enabling(state, self.node_id, t_ns)
             return enabling_state, (self._frame_to_drive(self._torque_payload(0.0)),)
         request_frame = (
             self.torque_cut_frames()[0]
             if progress.errors_to_ignore
             else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
-        return state._replace(protocol_state=progress), (request_frame,)
+        return state, (request_frame,)
 
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -452,9 +445,7 @@ class MoteusDrive:
         """
         if progress.enabled_by_other_host:
             text = f"in mode {progress.mode} without a command, and does not stop"
-            return state._replace(
-                error_text=text, protocol_state=progress
-            ), self.torque_cut_frames()
+            return state._replace(error_text=text), self.torque_cut_frames()
         if progress.cursor.step >= len(self.required_settings):
             return self._request_serial(state, progress, t_ns)
         setting = self.required_settings[progress.cursor.step]
@@ -472,9 +463,7 @@ class MoteusDrive:
             )
         cursor, must_send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
-            return enter_fault(
-                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
-            ), ()
+            return enter_fault(state, SETTING_MISMATCH_ERROR, problem), ()
         channel = progress.channel
         data = b""
         if must_send:

@@ -317,11 +317,8 @@ class OdriveDrive:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
         if command == codec.TORQUES:
             return state._replace(torque=values[0])
-        return state._replace(
-            position=values[0],
-            velocity=values[1],
-            feedback_t_ns=frame.t_ns,
-            feedback_count=state.feedback_count + 1,
+        return state.with_feedback(
+            values[0], values[1], state.torque, state.temperature, frame.t_ns
         )
 
     def _on_version_message(self, state: DriveState, data: bytes) -> DriveState:

@@ -287,14 +287,7 @@ class RobstrideDrive:
         identifier.
         """
         position, velocity, torque, winding_temperature = self.feedback.unpack(data)
-        next_state = state._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=winding_temperature,
-            feedback_t_ns=t_ns,
-            feedback_count=state.feedback_count + 1,
-        )
+        next_state = state.with_feedback(position, velocity, torque, winding_temperature, t_ns)
         return apply_status(next_state, status >> 6, status & 0x3F)
 
     def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
@@ -375,7 +368,9 @@ class RobstrideDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT:
             return state, self.torque_cut_frames()
-        progress = progress._replace(is_disabling=False)
+        if progress.is_disabling:
+            progress = progress._replace(is_disabling=False)
+            state = state._replace(protocol_state=progress)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, protocol_state=RobstrideProgress()), (
                 self._request_frame(codec.GET_ID),
@@ -383,11 +378,9 @@ class RobstrideDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling_state = start_enabling(
-                state._replace(protocol_state=progress), self.node_id, t_ns
-            )
+            enabling_state = start_enabling(state, self.node_id, t_ns)
             return enabling_state, (self._request_frame(codec.ENABLE),)
-        return state._replace(protocol_state=progress), (self._standby_request(state, progress),)
+        return state, (self._standby_request(state, progress),)
 
     def _standby_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the frame that the host sends while the motor makes no torque.
@@ -408,16 +401,12 @@ class RobstrideDrive:
         If the motor is enabled, the host first stops the motor.
         """
         if progress.enabled_by_other_host:
-            next_state = state._replace(
-                error_text="enabled, and does not stop", protocol_state=progress
-            )
+            next_state = state._replace(error_text="enabled, and does not stop")
             return next_state, self.torque_cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required_settings):
-            next_state = state._replace(protocol_state=progress)
-            return state_after_configuration(
-                next_state, t_ns, progress.serial
-            ), self.torque_cut_frames()
+            ready_state = state_after_configuration(state, t_ns, progress.serial)
+            return ready_state, self.torque_cut_frames()
         required_parameter = self.required_settings[cursor.step]
         if cursor.must_write:
             next_state = state._replace(
@@ -431,9 +420,7 @@ class RobstrideDrive:
             )
         cursor, must_send, problem = readback.request_setting(cursor, required_parameter.name, t_ns)
         if problem:
-            return enter_fault(
-                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
-            ), ()
+            return enter_fault(state, SETTING_MISMATCH_ERROR, problem), ()
         next_state = state._replace(error_text="", protocol_state=progress._replace(cursor=cursor))
         return next_state, (
             self._request_frame(codec.READ, codec.parameter_request(required_parameter.number)),
