@@ -52,7 +52,7 @@ VALUES_END_OFFSET = -4
 The field names_version follows the values.
 """
 _CACHE_BYTES = 64 << 20
-"""Largest amount of telemetry that the reader keeps in memory [bytes]."""
+"""Largest amount of telemetry, and largest size of all recent chunks, that the reader keeps in memory [bytes]."""
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
@@ -139,7 +139,8 @@ class RunLog:
                 that ends early causes no error.
         """
         self._file = LogFile(path)
-        self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
+        self._recent_chunks: dict[int, tuple[int, dict[int, list[MessageRows]]]] = {}
+        self._recent_bytes = 0
         try:
             scan = RecordScan()
             scan_records(self._file, scan, verify_checksums)
@@ -195,16 +196,21 @@ class RunLog:
     def _message_rows_of_chunk(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the blocks of messages of one channel in one chunk.
 
-        The latest chunk stays in memory, for callers that read several channels of the same chunk.
+        The latest chunks stay in memory, for callers that read several channels of the same chunk,
+        or read a short log several times.
         """
-        if self._latest is None or self._latest[0] is not chunk:
+        if chunk.offset not in self._recent_chunks:
             content = self._file.chunk_content(chunk)
             rows_by_channel: dict[int, list[MessageRows]] = {}
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 for rows in iter_messages(content, chunk.end - chunk.data_offset):
                     rows_by_channel.setdefault(rows.channel, []).append(rows)
-            self._latest = chunk, rows_by_channel
-        return self._latest[1].get(channel, [])
+            self._recent_bytes += chunk.size
+            while self._recent_chunks and self._recent_bytes > _CACHE_BYTES:
+                oldest_offset = next(iter(self._recent_chunks))
+                self._recent_bytes -= self._recent_chunks.pop(oldest_offset)[0]
+            self._recent_chunks[chunk.offset] = chunk.size, rows_by_channel
+        return self._recent_chunks[chunk.offset][1].get(channel, [])
 
     @functools.cached_property
     def _chunk_index(self) -> _ChunkIndex:
@@ -377,7 +383,9 @@ class RunLog:
             chunks: chunks of the file to read. By default, all chunks are read.
         """
         for data, _ in self._telemetry_blocks(chunks):
-            yield from (row.tobytes() for row in data)
+            size = data.shape[1]
+            content = data.tobytes()
+            yield from (content[start : start + size] for start in range(0, len(content), size))
 
     def tick_messages(self) -> Iterator[bytes]:
         """Yield the bytes of the Tick message of each tick, as the file contains them."""
