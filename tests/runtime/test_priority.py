@@ -3,6 +3,7 @@
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -96,3 +97,49 @@ def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) 
         assert not awake
     assert not realtime_priority.prepare_priority().are_processors_awake
     restore_priority()
+
+
+def test_all_libraries_except_the_compiler_are_loaded() -> None:
+    """Reproduce a waste: the lock of the memory loaded 150 MB of the compiler, which no tick uses."""
+    try:
+        granted_priority = request_priority()
+    finally:
+        sizes = mapped_and_loaded_sizes()
+        restore_priority()
+    if not granted_priority.is_memory_locked:
+        pytest.skip("the system does not allow this process to lock its memory")
+    numpy_mapped, numpy_loaded = sizes["_multiarray_umath"]
+    compiler_mapped, compiler_loaded = sizes[realtime_priority.COMPILER_LIBRARY]
+    assert numpy_loaded == numpy_mapped > 0
+    assert compiler_loaded < 0.5 * compiler_mapped
+
+
+def test_an_old_kernel_loads_all_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(realtime_priority, "_load_libraries", lambda libc: False)
+    try:
+        granted_priority = request_priority()
+    finally:
+        sizes = mapped_and_loaded_sizes()
+        restore_priority()
+    if not granted_priority.is_memory_locked:
+        pytest.skip("the system does not allow this process to lock its memory")
+    mapped, loaded = sizes[realtime_priority.COMPILER_LIBRARY]
+    assert loaded == mapped > 0
+
+
+def mapped_and_loaded_sizes() -> dict[str, tuple[int, int]]:
+    """Return the mapped and the loaded size of two libraries [kB], without the parts that cannot be read."""
+    sizes = dict.fromkeys(("_multiarray_umath", realtime_priority.COMPILER_LIBRARY), (0, 0))
+    mapping = ""
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        key, *values = line.split()
+        if not key.endswith(":"):
+            mapping = line
+            mapped = 0
+        elif key == "Size:":
+            mapped = int(values[0])
+        elif key == "Rss:" and " r" in mapping:
+            for library, (mapped_before, loaded_before) in sizes.items():
+                if library in mapping:
+                    sizes[library] = (mapped_before + mapped, loaded_before + int(values[0]))
+    return sizes

@@ -15,7 +15,9 @@ from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
-DEFERRED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
+DEFERRED_MODULES = (
+    "scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.sparse.linalg", "numpy.f2py", "numpy.testing",
+)  # fmt: skip
 """Modules that filterpy or scipy import, for functions that handctl does not call."""
 
 
@@ -69,15 +71,16 @@ def deferred_imports() -> Iterator[None]:
 
     Each stand-in also becomes an attribute of the package that contains the replaced module.
     """
-    module_names = [name.rpartition(".") for name in DEFERRED_MODULES if name not in sys.modules]
-    packages_and_modules = [
-        (importlib.import_module(package), module_name) for package, _, module_name in module_names
-    ]
-    for package, module_name in packages_and_modules:
-        sys.modules[f"{package.__name__}.{module_name}"] = stand_in_module = _StandInModule(
-            f"{package.__name__}.{module_name}"
-        )
+    packages_and_modules = []
+    for name in DEFERRED_MODULES:
+        if name in sys.modules:
+            continue
+        package_name, _, module_name = name.rpartition(".")
+        # The package of ``scipy.sparse.linalg`` is the stand-in for ``scipy.sparse``.
+        package = importlib.import_module(package_name)
+        sys.modules[name] = stand_in_module = _StandInModule(name)
         setattr(package, module_name, stand_in_module)
+        packages_and_modules.append((package, module_name))
     try:
         yield
     finally:
