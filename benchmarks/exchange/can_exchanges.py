@@ -80,6 +80,7 @@ class HandctlExchange:
         import numpy as np
 
         from handctl.core import tick_stages
+        from handctl.core.wire import cyclic_frames
         from handctl.drives.contract import DriveTarget
         from handctl.drives.frame_records import WORDS_PER_RECORD
         from handctl.runtime.buses.bus_opening import open_bus
@@ -88,6 +89,9 @@ class HandctlExchange:
         self.state = state.copy()
         self.drive_target = DriveTarget.ENABLE
         self.begin_tick = tick_stages.begin_tick
+        self.receive_frames = cyclic_frames.receive_frames
+        constants = self.controller.derived_constants
+        self.receive_args = (*constants.kernel_args, *constants.wire_tables.receive_tables)
         self.np = np
         self.shape = 1 + motor_count, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
@@ -107,7 +111,7 @@ class HandctlExchange:
         state = self.state
         state_offsets = self.controller.derived_constants.layout.offsets
         self.begin_tick(state.block, state_offsets, state.k, self.t_ns, 0, 0, len(frames))
-        self.controller._receive_frames(state, frames, 0)
+        self.receive_frames(state.block, *self.receive_args, frames.rows, 0, 0)
         return frames
 
     def close(self):

@@ -140,6 +140,10 @@ def active_state(model: HandModel) -> ControllerState:
     return _active_state_template(model).copy()
 
 
+NO_TELEMETRY = np.empty(0, np.int64), np.empty(0)
+"""Last arguments of ``tick_stages.store_commands`` for a test that reads no telemetry."""
+
+
 def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
     """Return the constants of a hand model, and the memory layout of these constants.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
 from handctl.safety.faults.node import STUCK_SENSOR_GOAL_CHANGE_M
-from tests.controller.synthetic_states import active_state, constant_args_of
+from tests.controller.synthetic_states import NO_TELEMETRY, active_state, constant_args_of
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
@@ -24,7 +24,9 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     def tick(goal: NDArray[np.float64], excursion_error_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
         state.view("excursion")[...] = jamia.hand.moment_arms @ goal + excursion_error_m
-        tick_stages.store_commands(state.block, state.layout.offsets, *constant_args_of(jamia))
+        tick_stages.store_commands(
+            state.block, state.layout.offsets, *constant_args_of(jamia), *NO_TELEMETRY
+        )
         return state.view("followed").copy()
 
     for t in np.arange(0.0, 1.0, period):

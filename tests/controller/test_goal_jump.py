@@ -7,7 +7,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from tests.controller.synthetic_states import active_state, constant_args_of
+from tests.controller.synthetic_states import NO_TELEMETRY, active_state, constant_args_of
 
 
 def moment_arms_of(model: HandModel) -> np.ndarray:
@@ -41,7 +41,9 @@ def targets_after_command(
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle
     state.view("excursion")[...] = excursions
-    tick_stages.store_commands(state.block, state.layout.offsets, *constant_args_of(model))
+    tick_stages.store_commands(
+        state.block, state.layout.offsets, *constant_args_of(model), *NO_TELEMETRY
+    )
     return state
 
 

@@ -20,6 +20,7 @@ from handctl.core.hand_model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
 from tests.controller.synthetic_states import (
+    NO_TELEMETRY,
     active_state,
     constant_args_of,
     static_tendon_forces,
@@ -164,7 +165,9 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         torque = static_torque_of(model, q)
         state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external_tension
-        tick_stages.store_commands(state.block, state.layout.offsets, *constant_args_of(model))
+        tick_stages.store_commands(
+            state.block, state.layout.offsets, *constant_args_of(model), *NO_TELEMETRY
+        )
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(

@@ -43,6 +43,7 @@ from handctl.safety.tick_verdict import (
     judge_tick,
     newly_active_faults,
 )
+from tests.controller.synthetic_states import NO_TELEMETRY
 
 PERIOD_S, NAN = 0.002, np.nan
 SPOOL_RADIUS_M = 0.005
@@ -231,6 +232,7 @@ class SyntheticMonitor:
             self.layout.offsets,
             self._read_only_constants(),
             self.constants_layout.offsets,
+            *NO_TELEMETRY,
         )
 
     def judge(

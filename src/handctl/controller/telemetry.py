@@ -1,9 +1,9 @@
-"""Telemetry of a tick for the log. The values of the telemetry are copied from fields of the state block."""
+"""Places of the telemetry for the log in the state block."""
 
 import numpy as np
 
-from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry, TelemetrySlices
+from handctl.core.block_schema import BlockLayout
+from handctl.core.tick_types import TELEMETRY_FIELDS, TelemetrySlices
 
 STATE_FIELD_BY_TELEMETRY_FIELD = {
     "joint_encoder": "measured_joint",
@@ -17,8 +17,13 @@ STATE_FIELD_BY_TELEMETRY_FIELD = {
 """Name of the state block's field for each telemetry field that has another name in the block."""
 
 
-class TelemetryGatherer:
-    """Callable object that copies the telemetry of a hand from the state block."""
+class TelemetryPlaces:
+    """Places of the telemetry of a hand in the state block.
+
+    Attributes:
+        elements: (m,) index of each number of the telemetry in the state block.
+        slices: slice of each field in the telemetry.
+    """
 
     def __init__(self, layout: BlockLayout) -> None:
         """Compute the position of each number of the telemetry in the state block.
@@ -34,11 +39,7 @@ class TelemetryGatherer:
             for name in TELEMETRY_FIELDS
         ]
         end_offsets = np.cumsum([0, *map(len, element_indices_of_fields)]).tolist()
-        self._index = np.concatenate(element_indices_of_fields).astype(np.intp)
-        self._places = TelemetrySlices(
+        self.elements = np.concatenate(element_indices_of_fields).astype(np.int64)
+        self.slices = TelemetrySlices(
             zip(TELEMETRY_FIELDS, map(slice, end_offsets[:-1], end_offsets[1:]), strict=True)
         )
-
-    def __call__(self, block: BlockArray) -> PackedTelemetry:
-        """Return the telemetry of a tick, copied from a state block."""
-        return PackedTelemetry(block.take(self._index), self._places)

@@ -39,7 +39,7 @@ from handctl.controller.monitor.safety_thresholds import compiled_constants, saf
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxation import is_open_loop, present_relax_rate
 from handctl.controller.target_streams import apply_target
-from handctl.controller.telemetry import TelemetryGatherer
+from handctl.controller.telemetry import TelemetryPlaces
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TableOffsets
@@ -51,9 +51,17 @@ from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_prediction import FilterPrediction
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, TickRequest, Vector
+from handctl.core.tick_types import (
+    HandMode,
+    PackedTelemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+    TickRequest,
+    Vector,
+)
 from handctl.core.wire import cyclic_frames
-from handctl.core.wire.wire_tables import WireTables
+from handctl.core.wire.wire_tables import ReceiveTables, WireTables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
@@ -111,7 +119,7 @@ class DerivedConstants:
         prediction: prediction of the filter states.
         torque_elements: elements of the commanded torques in the state block.
         wire_tables: signal tables of the drives' cyclic frames.
-        copy_telemetry: function that copies the telemetry from the state block.
+        telemetry_places: places of the telemetry in the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without SYNC frames for the
@@ -129,7 +137,7 @@ class DerivedConstants:
     prediction: FilterPrediction
     torque_elements: slice
     wire_tables: WireTables
-    copy_telemetry: TelemetryGatherer
+    telemetry_places: TelemetryPlaces
     drive_index_by_id: dict[tuple[int, int], int]
     amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
@@ -175,7 +183,7 @@ class DerivedConstants:
             prediction=FilterPrediction(model, layout),
             torque_elements=slice(first_torque, first_torque + len(drives)),
             wire_tables=wire_tables,
-            copy_telemetry=TelemetryGatherer(layout),
+            telemetry_places=TelemetryPlaces(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
                 for n, drive in enumerate(drives)
@@ -389,7 +397,9 @@ class Controller:
                 tick_in_progress.tick_input.k - tick_in_progress.last_state.k,
             )
         derived_constants = self.derived_constants
-        tick_stages.store_commands(state.block, *derived_constants.kernel_args)
+        elements = derived_constants.telemetry_places.elements
+        telemetry = np.empty(len(elements))
+        tick_stages.store_commands(state.block, *derived_constants.kernel_args, elements, telemetry)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         tick_output = TickOut(
@@ -397,7 +407,7 @@ class Controller:
             mode,
             phase,
             tick_in_progress.action,
-            derived_constants.copy_telemetry(state.block),
+            PackedTelemetry(telemetry, derived_constants.telemetry_places.slices),
             tick_in_progress.events,
             state.digest(),
         )
@@ -419,23 +429,32 @@ class Controller:
         block = state.block
         derived_constants = self.derived_constants
         kernel_args = derived_constants.kernel_args
+        receive_tables = derived_constants.wire_tables.receive_tables
+        if state.decisions.amplifiers:
+            receive_tables = derived_constants.wire_tables.receive_tables_without_groups(
+                self._groups_not_ready(state.decisions.amplifiers)
+            )
         missed_ticks = tick_input.k - last_state.k - 1
-        tick_stages.begin_tick(
+        min_receive_ns = self.sensors.earliest_answer_time_ns(
+            last_state.run_integers[s.TICK_TIME_NS]
+        )
+        frame_args = (*kernel_args, *receive_tables, frames.rows)
+        next_row = tick_stages.receive_and_correct(
             block,
-            derived_constants.layout.offsets,
+            *frame_args,
             tick_input.k,
             tick_input.t_ns,
             tick_input.late_ns,
             missed_ticks,
-            len(frames),
+            min_receive_ns,
         )
-        second_controller_signs = self._receive_frames(
-            state,
-            frames,
-            self.sensors.earliest_answer_time_ns(last_state.run_integers[s.TICK_TIME_NS]),
-        )
-        tick_stages.observe_tick(block, *kernel_args)
-        tick_stages.correct_tension_estimate(block, *kernel_args)
+        second_controller_signs: tuple[str, ...] = ()
+        if next_row < len(frames.rows):
+            second_controller_signs = self._receive_remaining_frames(
+                state, receive_tables, frames, next_row, min_receive_ns
+            )
+            tick_stages.observe_tick(block, *kernel_args)
+            tick_stages.correct_tension_estimate(block, *kernel_args)
         if state.has_started:
             derived_constants.prediction.predict(block, missed_ticks)
         if tick_stages.conclude_estimate(block, *kernel_args):
@@ -444,36 +463,32 @@ class Controller:
             )
         return second_controller_signs
 
-    def _receive_frames(
-        self, state: ControllerState, frames: Frames, min_receive_ns: int
+    def _receive_remaining_frames(
+        self,
+        state: ControllerState,
+        receive_tables: ReceiveTables,
+        frames: Frames,
+        next_row: int,
+        min_receive_ns: int,
     ) -> tuple[str, ...]:
-        """Process the received frames of a tick.
+        """Process the received frames from the first frame on that compiled code has not decoded.
 
         Args:
             state: state of the tick, modified in place.
+            receive_tables: tables that decode the frames.
             frames: received frames.
+            next_row: index of the first frame that a state machine must handle.
             min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
 
         Return the identifiers of received frames that only this host is allowed to send. Each
         identifier occurs once.
         """
         derived_constants = self.derived_constants
-        tables = derived_constants.wire_tables
-        receive_tables = tables.receive_tables
-        if state.decisions.amplifiers:
-            receive_tables = tables.receive_tables_without_groups(
-                self._groups_not_ready(state.decisions.amplifiers)
-            )
-        rows = frames.rows
-        row_count = len(rows)
-        kernel_args = (*derived_constants.kernel_args, *receive_tables, rows)
-        next_row = cyclic_frames.receive_frames(state.block, *kernel_args, 0, min_receive_ns)
-        if next_row >= row_count:
-            return ()  # compiled code has decoded all frames, as in most ticks
+        kernel_args = (*derived_constants.kernel_args, *receive_tables, frames.rows)
         second_controller_signs: list[str] = []
-        while next_row < row_count:
-            # The kernel ``receive_frames`` has already counted the error frames, so the frame at
-            # the returned index is no error frame.
+        while next_row < len(frames):
+            # Compiled code has already counted the error frames, so the frame at the index is no
+            # error frame.
             frame = frames[next_row]
             owner = derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:

@@ -41,6 +41,9 @@ from handctl.core.estimation import (
 )
 from handctl.core.state_block import StateTables, state_tables, write_canonical_nan
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
+from handctl.core.wire import cyclic_frames
+from handctl.core.wire.wire_tables import FloatArray, IntArray
+from handctl.drives.frame_records import WordRows
 from handctl.safety.safety_action import SafetyAction
 
 HOLD_ACTION = int(SafetyAction.HOLD)
@@ -68,7 +71,14 @@ def begin_tick(
         missed_ticks: ticks missed before the present tick.
         frames: number of received frames.
     """
-    x = state_tables(block, at)
+    _begin_tick(state_tables(block, at), k, t_ns, lateness_ns, missed_ticks, frames)
+
+
+@kernel_helper
+def _begin_tick(
+    x: StateTables, k: int, t_ns: int, lateness_ns: int, missed_ticks: int, frames: int
+) -> None:
+    """Reset the flags of received data, see ``begin_tick``."""
     x.run_int[s.K] = k
     x.run_int[s.TICK_TIME_NS] = t_ns
     x.run_int[s.TICK_DELAY_NS] = lateness_ns
@@ -179,8 +189,12 @@ def observe_tick(
     block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> None:
     """Convert the values that were received in the present tick into measurements."""
-    x = state_tables(block, at)
-    c = constant_tables(constants, constant_offsets)
+    _observe_tick(state_tables(block, at), constant_tables(constants, constant_offsets))
+
+
+@kernel_helper
+def _observe_tick(x: StateTables, c: ConstantTables) -> None:
+    """Convert received values into measurements, see ``observe_tick``."""
     measurements.write_measurements(x, c)
     if ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE:
         measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
@@ -196,14 +210,80 @@ def correct_tension_estimate(
     block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> None:
     """Correct the tension filter by the measurements, and judge the regime of each tendon."""
-    x = state_tables(block, at)
-    c = constant_tables(constants, constant_offsets)
+    _correct_tension_estimate(state_tables(block, at), constant_tables(constants, constant_offsets))
+
+
+@kernel_helper
+def _correct_tension_estimate(x: StateTables, c: ConstantTables) -> None:
+    """Correct the tension filter, see ``correct_tension_estimate``."""
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
         varying_moment_arms.update_moment_arm_tables(x, c)
     if x.run_int[s.FILTER_STARTED]:
         kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
         kalman.write_estimate_before_start(x)
+
+
+@kernel(
+    "block", "layout", "constants", "layout",
+    "keys", "table_int", "table_int", "table", "table_int", "words",
+    "words", "count", "count", "count", "count", "count",
+)  # fmt: skip
+def receive_and_correct(
+    block: BlockArray,
+    at: TableOffsets,
+    constants: BlockArray,
+    constant_offsets: TableOffsets,
+    keys: IntArray,
+    entries: IntArray,
+    signal_integers: IntArray,
+    signal_scalings: FloatArray,
+    recheck_ranges: IntArray,
+    rechecks: WordRows,
+    frame_rows: WordRows,
+    k: int,
+    t_ns: int,
+    lateness_ns: int,
+    missed_ticks: int,
+    min_receive_ns: int,
+) -> int:
+    """Execute the stages begin, receive, observe and correct.
+
+    A single kernel (compiled function) is faster than four. If a state machine must handle a frame,
+    the kernel stops at this frame, and the remaining stages are not executed.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.offsets`` of the state block.
+        constants: constants of the hand.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
+        keys: see ``WireTables``.
+        entries: see ``WireTables``.
+        signal_integers: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
+        recheck_ranges: see ``WireTables``.
+        rechecks: see ``WireTables``.
+        frame_rows: (n, WORDS_PER_RECORD) records of frames.
+        k: number of the tick.
+        t_ns: time of the tick [ns].
+        lateness_ns: delay of the start of the tick [ns].
+        missed_ticks: ticks missed before the present tick.
+        min_receive_ns: see ``cyclic_frames.receive_frames``.
+
+    Returns:
+        The result of ``cyclic_frames.receive_frames``.
+    """
+    x = state_tables(block, at)
+    c = constant_tables(constants, constant_offsets)
+    _begin_tick(x, k, t_ns, lateness_ns, missed_ticks, len(frame_rows))
+    stop = cyclic_frames.decode_frames(
+        x, c, keys, entries, signal_integers, signal_scalings, recheck_ranges, rechecks,
+        frame_rows, 0, min_receive_ns,
+    )  # fmt: skip
+    if stop == len(frame_rows):
+        _observe_tick(x, c)
+        _correct_tension_estimate(x, c)
+    return stop
 
 
 @kernel("block", "layout", "constants", "layout")
@@ -378,11 +458,25 @@ def evaluate_goals_and_torques(
     return unsolved_digits
 
 
-@kernel("block", "layout", "constants", "layout")
+@kernel("block", "layout", "constants", "layout", "keys", "block")
 def store_commands(
-    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
+    block: BlockArray,
+    at: TableOffsets,
+    constants: BlockArray,
+    constant_offsets: TableOffsets,
+    telemetry_elements: IntArray,
+    telemetry: BlockArray,
 ) -> None:
-    """Store the commands and requests for the next tick, and complete the numbers for the log."""
+    """Store the commands and requests for the next tick, and copy the telemetry from the state block.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.offsets`` of the state block.
+        constants: constants of the hand.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
+        telemetry_elements: (m,) index of each number of the telemetry in the state block.
+        telemetry: (m,) result: telemetry of the tick.
+    """
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     mode = x.run_int[s.HAND_MODE]
@@ -416,3 +510,5 @@ def store_commands(
         x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if has_reading else math.nan
         x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if has_reading else math.nan
     write_canonical_nan(block, at)
+    for i in range(len(telemetry)):
+        telemetry[i] = block[telemetry_elements[i]]

@@ -188,11 +188,13 @@ def are_outputs_equal(
     """Return True if every byte of a tick's output is the same in the log and in the re-execution."""
     return (
         logged_tick.state_hash == computed_tick.state_hash
+        and logged_tick.mode is computed_tick.mode
+        and logged_tick.action is computed_tick.action
+        and logged_tick.phase == computed_tick.phase
+        and logged_tick.events == computed_tick.events
         and logged_tick.frames.rows.tobytes()
         == frames_as_records(computed_tick.frames).rows.tobytes()
         and logged_telemetry == computed_tick.telemetry.to_bytes()[: len(logged_telemetry)]
-        and (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_tick.events)
-        == (computed_tick.mode, computed_tick.action, computed_tick.phase, computed_tick.events)
     )
 
 

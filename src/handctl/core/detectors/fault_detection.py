@@ -114,12 +114,17 @@ def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
     action = 0
     new_fault_count = 0
     for row in range(evidence.shape[0]):
+        # The first loop always writes, so that the compiler can handle several numbers at once.
+        has_evidence = 0
         for i in range(evidence.shape[1]):
-            if math.isnan(evidence[row, i]):
-                x.instance_int[s.FAULT_TICKS + row, i] = 0
-                continue
             ticks = x.instance_int[s.FAULT_TICKS + row, i] + 1
+            ticks = 0 if math.isnan(evidence[row, i]) else ticks
             x.instance_int[s.FAULT_TICKS + row, i] = ticks
+            has_evidence |= ticks
+        if has_evidence == 0:
+            continue
+        for i in range(evidence.shape[1]):
+            ticks = x.instance_int[s.FAULT_TICKS + row, i]
             if ticks >= DEBOUNCE_TICKS[row]:
                 action = max(action, ACTION_NUMBERS[row])
                 new_fault_count += ticks == DEBOUNCE_TICKS[row]

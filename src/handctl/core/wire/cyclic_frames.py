@@ -145,8 +145,28 @@ def receive_frames(
         Index of the first frame that a state machine must handle or that only this host is allowed
         to send, or n if no frame is of these two kinds.
     """
-    x = state_tables(block, at)
-    c = constant_tables(constants, constant_offsets)
+    return decode_frames(
+        state_tables(block, at), constant_tables(constants, constant_offsets),
+        keys, entries, signal_integers, signal_scalings, recheck_ranges, rechecks,
+        frame_rows, first_frame, min_receive_ns,
+    )  # fmt: skip
+
+
+@kernel_helper
+def decode_frames(
+    x: StateTables,
+    c: ConstantTables,
+    keys: IntArray,
+    entries: IntArray,
+    signal_integers: IntArray,
+    signal_scalings: FloatArray,
+    recheck_ranges: IntArray,
+    rechecks: WordRows,
+    frame_rows: WordRows,
+    first_frame: int,
+    min_receive_ns: int,
+) -> int:
+    """Decode received frames, see ``receive_frames``."""
     frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
