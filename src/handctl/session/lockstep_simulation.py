@@ -257,10 +257,9 @@ class SimulatedRun:
         self, io_events: tuple[IoEvent, ...], requests: tuple[TickRequest, ...], late_ns: int
     ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
-        bus_events = tuple(IoEvent(*event) for event in self._bus.take_events())
-        tick_input = TickIn(
-            self.k, self.k * self.period_ns, late_ns, frames, bus_events + io_events, requests
-        )
+        if bus_events := self._bus.take_events():
+            io_events = (*(IoEvent(*event) for event in bus_events), *io_events)
+        tick_input = TickIn(self.k, self.k * self.period_ns, late_ns, frames, io_events, requests)
         self.state, self.last_output = self.controller.tick(self.state, tick_input)
         if self.are_ticks_recorded:
             self.recorded_ticks.append((tick_input, self.last_output))

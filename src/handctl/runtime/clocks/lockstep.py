@@ -14,15 +14,23 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Protocol
 
-import numpy as np
-
 from handctl.drives.frame import ERROR_FLAG, Frame
-from handctl.drives.frame_records import Frames, RecordArray, concatenate_frames, frames_as_records
+from handctl.drives.frame_records import (
+    FRAME_RECORD_BYTES,
+    Frames,
+    RecordArray,
+    concatenate_frames,
+    frames_as_records,
+)
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.bus_events import BusEvents
 from handctl.runtime.buses.canfd_structs import data_and_error_frames
 
+_FLAGS_BYTE_OFFSET = 11
+"""Offset of the highest byte of the identifier, which contains the flags, in the record of a frame."""
+_ERROR_FLAG_IN_BYTE = ERROR_FLAG >> 24
+"""Flag of an error frame in the highest byte of the identifier."""
 SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Name ``module:Class`` of the simulator in the handctl repository."""
 
@@ -161,6 +169,16 @@ class LockstepClock:
         return {}
 
 
+def _has_error_frame(frames: Frames) -> bool:
+    """Return True if one of the frames is an error frame."""
+    # For the few frames of a tick, operations with bytes take a third of the time of operations
+    # with arrays.
+    flags = frames.rows.tobytes()[_FLAGS_BYTE_OFFSET::FRAME_RECORD_BYTES]
+    return max(flags, default=0) >= _ERROR_FLAG_IN_BYTE and any(
+        byte & _ERROR_FLAG_IN_BYTE for byte in flags
+    )
+
+
 class LockstepBus:
     """Single object that represents all buses of a hand in lockstep.
 
@@ -178,9 +196,8 @@ class LockstepBus:
         """Return the answers of the simulator. Error frames among the answers become events of the bus."""
         frames = concatenate_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
-        # The bitwise OR of all identifiers shows whether any frame is an error frame. If there is
-        # no error frame, as usual, the frames need not be examined one by one.
-        if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
+        # If no frame is an error frame, as usual, the frames need not be examined one by one.
+        if not _has_error_frame(frames):
             return frames
         frames, errors = data_and_error_frames(frames)
         for frame in errors:
