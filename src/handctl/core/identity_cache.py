@@ -32,6 +32,8 @@ class SequenceCache(Generic[T]):
 
     def __call__(self, items: Sequence[T]) -> list[bytes]:
         """Return the results of the function for all items of a sequence."""
+        if items is self._items:
+            return self._values
         function = self._function
         if len(items) == len(self._items):
             items_with_cached_values = zip(items, self._items, self._values, strict=True)
