@@ -79,6 +79,30 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: ProtocolBench) -
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "moteus", "robstride"])
+@pytest.mark.parametrize("target", [DriveTarget.POLL, DriveTarget.DISABLE])
+def test_a_waiting_drive_gets_no_new_state_when_nothing_changes(
+    bench: ProtocolBench, target: DriveTarget
+) -> None:
+    """Reproduce a waste: in each tick, drives replaced parts of their states by equal parts.
+
+    The controller then computed the hash of all parts again. The state of a CiA 402 drive contains
+    the time of each status word, so it changes in each tick.
+    """
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    for _ in range(10):
+        bench.tick(target)
+    new_part_count = 0
+    for _ in range(100):
+        parts_before = [state.protocol_state for state in bench.states]
+        bench.tick(target)
+        new_part_count += sum(
+            state.protocol_state is not part
+            for state, part in zip(bench.states, parts_before, strict=True)
+        )
+    assert new_part_count < 100, "of 400 parts: four drives in 100 ticks"
+
+
 def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBench) -> None:
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_simulator
@@ -250,6 +250,20 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     assert runs[0] == runs[1]
     assert [len(frames) for frames in runs[0][0]] == [0, 3, 3, 0] * 2
     assert [frame.bus for frame in runs[0][0][1]] == [0, 1, 0]
+
+
+def test_extended_and_remote_frames_of_a_peer_are_no_error_frames() -> None:
+    clock = LockstepClock(FakePackedSimulator(), PERIOD_NS)
+    bus = LockstepBus(clock)
+    sent_ids = [EXTENDED_FLAG | 0x1FFF_0000, REMOTE_FLAG | 0x30, EXTENDED_FLAG | REMOTE_FLAG | 5]
+    bus.send([Frame(can_id, b"") for can_id in sent_ids])
+    clock.wait(1)
+    assert [frame.can_id for frame in bus.drain()] == [can_id + 0x10 for can_id in sent_ids]
+    assert bus.take_events() == []
+    bus.send([Frame(sent_ids[0], b""), Frame(ERROR_FLAG | 0x30, bytes(8))])
+    clock.wait(2)
+    assert len(bus.drain()) == 1
+    assert bus.take_events() != []
 
 
 def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:

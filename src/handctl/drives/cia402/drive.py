@@ -454,18 +454,18 @@ class Cia402Drive:
             return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
             return state, self.torque_cut_frames() if progress.may_be_enabled else ()
-        progress = progress._replace(disable_command_ns=-1)
+        if progress.disable_command_ns >= 0:
+            progress = progress._replace(disable_command_ns=-1)
+            state = state._replace(protocol_state=progress)
         if progress.cursor.step < len(self.setup_steps):
             return self._configure(state, progress, t_ns)
         if state.phase != READY:
             return self._start_node(state, progress, t_ns)
         if target == ENABLE:
             control_word = codec.NEXT_CONTROLWORD.get(progress.power_state, codec.DISABLE_VOLTAGE)
-            enabling_state = start_enabling(
-                state._replace(protocol_state=progress), self.node_id, t_ns
-            )
+            enabling_state = start_enabling(state, self.node_id, t_ns)
             return enabling_state, (self._rpdo_frame(control_word, self._command_at_rest(state)),)
-        return state._replace(protocol_state=progress), ()
+        return state, ()
 
     def _disable(
         self, state: DriveState, progress: Cia402Progress, t_ns: int

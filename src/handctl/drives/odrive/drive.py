@@ -406,7 +406,8 @@ class OdriveDrive:
             return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
             return state, self.torque_cut_frames() if progress.may_be_enabled else ()
-        state = state._replace(protocol_state=progress._replace(disable_command_ns=-1))
+        if progress.disable_command_ns >= 0:
+            state = state._replace(protocol_state=progress._replace(disable_command_ns=-1))
         if state.phase == READY and progress.is_configured:
             return self._advance_configured_drive(state, t_ns, target)
         return self._configure(
@@ -426,9 +427,9 @@ class OdriveDrive:
         state, requests = self._feedback_requests(state, t_ns)
         progress = get_progress(state)
         if target != ENABLE:
-            return state._replace(
-                protocol_state=progress._replace(is_just_verified=False)
-            ), requests
+            if progress.is_just_verified:
+                state = state._replace(protocol_state=progress._replace(is_just_verified=False))
+            return state, requests
         if progress.enable_command_ns >= 0:
             return state, (self._command_frame(self._command_at_rest(state)), *requests)
         if not progress.is_just_verified:

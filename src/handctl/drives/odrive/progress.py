@@ -270,11 +270,9 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     If the drive may be enabled (``OdriveProgress.may_be_enabled``), the drive counts as enabled
     until a heartbeat reports idle.
     """
-    phase = ENABLED if progress.may_be_enabled else state.phase
-    disabling_start_ns = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
-    return state._replace(
-        phase=phase, protocol_state=progress._replace(disable_command_ns=disabling_start_ns)
-    )
+    if progress.disable_command_ns < 0:
+        state = state._replace(protocol_state=progress._replace(disable_command_ns=t_ns))
+    return state._replace(phase=ENABLED) if progress.may_be_enabled else state
 
 
 def cause_of_error(error_code: int) -> DriveFaultCause:

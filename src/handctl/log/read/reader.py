@@ -53,6 +53,8 @@ The field names_version follows the values.
 """
 _CACHE_BYTES = 64 << 20
 """Largest amount of telemetry, and largest size of all recent chunks, that the reader keeps in memory [bytes]."""
+_BLOCK_BYTES = 400
+"""Memory that a block of messages needs in addition to its data [bytes]. A malicious chunk can have many blocks."""
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
@@ -205,11 +207,13 @@ class RunLog:
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 for rows in iter_messages(content, chunk.end - chunk.data_offset):
                     rows_by_channel.setdefault(rows.channel, []).append(rows)
-            self._recent_bytes += chunk.size
+            block_count = sum(map(len, rows_by_channel.values()))
+            size = chunk.size + _BLOCK_BYTES * block_count
+            self._recent_bytes += size
             while self._recent_chunks and self._recent_bytes > _CACHE_BYTES:
                 oldest_offset = next(iter(self._recent_chunks))
                 self._recent_bytes -= self._recent_chunks.pop(oldest_offset)[0]
-            self._recent_chunks[chunk.offset] = chunk.size, rows_by_channel
+            self._recent_chunks[chunk.offset] = size, rows_by_channel
         return self._recent_chunks[chunk.offset][1].get(channel, [])
 
     @functools.cached_property
