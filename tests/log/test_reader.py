@@ -54,21 +54,21 @@ def test_ticks_come_back_exactly(varied_log: Path) -> None:
         assert tick == expected
 
 
-def test_recent_chunks_are_kept_up_to_a_limit(
+def test_kept_chunks_are_kept_up_to_a_limit(
     varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with RunLog(varied_log) as log:
         expected_ticks = list(log.ticks())
-        assert len(log._recent_chunks) == len(log.scan.chunks) > 3
-    largest_size = max(size for size, _ in log._recent_chunks.values())
+        assert len(log._kept_chunks) == len(log.scan.chunks) > 3
+    largest_size = max(size for size, _ in log._kept_chunks.values())
     limit = 2 * largest_size
     monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", limit)
     with RunLog(varied_log) as log:
         for _ in range(2):
             for tick, expected_tick in zip(log.ticks(), expected_ticks, strict=True):
                 assert tick == expected_tick
-                sizes = [size for size, _ in log._recent_chunks.values()]
-                assert sum(sizes) == log._recent_bytes <= limit
+                sizes = [size for size, _ in log._kept_chunks.values()]
+                assert sum(sizes) == log._kept_bytes <= limit
 
 
 @pytest.mark.parametrize("uses_cache", [True, False])

@@ -362,10 +362,10 @@ class Controller:
         program_events = self._advance_program(state, action)
         if state.progress is not last_state.progress:
             self._write_progress(state, last_state.progress)
+        if findings:
+            events += tuple(map(_fault_event, findings))
         tick_in_progress.action = action
-        tick_in_progress.events = (
-            events + tuple(map(_fault_event, findings)) + mode_events + program_events
-        )
+        tick_in_progress.events = events + mode_events + program_events
 
     def _command_drives(
         self, tick_in_progress: "TickInProgress", targets: tuple[TickRequest, ...]

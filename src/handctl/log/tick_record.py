@@ -108,7 +108,8 @@ _MODE_BY_VALUE = {mode.value: mode for mode in HandMode}
 _ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
 """Members of the enumerations of modes and of safety actions, by value.
 
-A dictionary finds a member four times as fast as a call of the enumeration.
+A dictionary finds a member four times as fast as a call of the enumeration. A value that is not in
+the dictionary is passed to the enumeration, which raises ValueError.
 """
 new_tuple = tuple.__new__
 """Function that creates a named tuple.
@@ -328,8 +329,13 @@ def _tick_without_events(
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
     tick_input = new_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
-    mode_member = _MODE_BY_VALUE.get(mode) or HandMode(mode)
-    action_member = _ACTION_BY_VALUE.get(action) or SafetyAction(action)
+    # The members with the value 0 are false, so the results are compared with None.
+    mode_member = _MODE_BY_VALUE.get(mode)
+    if mode_member is None:
+        mode_member = HandMode(mode)
+    action_member = _ACTION_BY_VALUE.get(action)
+    if action_member is None:
+        action_member = SafetyAction(action)
     return new_tuple(
         TickRecord, (tick_input, sent_frames, mode_member, phase, action_member, (), state_hash)
     )

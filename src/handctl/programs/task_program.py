@@ -303,6 +303,9 @@ class TaskProgram:
         """
         gains = model.gains.contact
         forces = estimate.contact_force.tolist()
+        thresholds_in_motion = contact_thresholds_in_motion(model)
+        if max(forces) <= min(thresholds_in_motion) and not any(progress.touching):
+            return progress, ()  # most ticks of a close phase end here
         goals = list(progress.goals)
         contact = list(progress.contact)
         contact_ticks = [0] * len(goals)
@@ -313,7 +316,7 @@ class TaskProgram:
             if not is_closing or name in model.hand.carrier_digits:
                 continue
             threshold = contact_threshold(
-                goals[d], model.digits[d].joint_count, gains.threshold_N, t
+                goals[d], thresholds_in_motion[d], t
             ) + contact_margin_without_cells(model, d)
             if not forces[d] > threshold:  # also if the force is NaN
                 continue
@@ -518,16 +521,23 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     return margin / float(np.linalg.norm(tension_per_tip_force))
 
 
-def contact_threshold(goal: DigitGoal, joints: int, moving_threshold_N: float, t: float) -> float:
+@functools.lru_cache(maxsize=64)
+def contact_thresholds_in_motion(model: HandModel) -> tuple[float, ...]:
+    """Return the smallest tip force [N] that counts as contact, for each digit while it moves."""
+    threshold = model.gains.contact.threshold_N
+    return tuple(
+        [threshold * (digit.joint_count / REFERENCE_JOINT_COUNT) for digit in model.digits]
+    )
+
+
+def contact_threshold(goal: DigitGoal, moving_threshold_N: float, t: float) -> float:
     """Return the smallest tip force [N] that counts as contact.
 
     Args:
         goal: goal of the digit.
-        joints: number of joints of the digit.
-        moving_threshold_N: threshold of a moving digit with two joints [N].
+        moving_threshold_N: threshold of the digit while it moves [N].
         t: time [s].
     """
-    moving_threshold_N *= joints / REFERENCE_JOINT_COUNT
     is_moving = (
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S

@@ -52,7 +52,7 @@ VALUES_END_OFFSET = -4
 The field names_version follows the values.
 """
 _CACHE_BYTES = 64 << 20
-"""Largest amount of telemetry, and largest size of all recent chunks, that the reader keeps in memory [bytes]."""
+"""Largest amount of telemetry, and largest size of all chunks, that the reader keeps in memory [bytes]."""
 _BLOCK_BYTES = 400
 """Memory that a block of messages needs in addition to its data [bytes]. A malicious chunk can have many blocks."""
 
@@ -141,8 +141,8 @@ class RunLog:
                 that ends early causes no error.
         """
         self._file = LogFile(path)
-        self._recent_chunks: dict[int, tuple[int, dict[int, list[MessageRows]]]] = {}
-        self._recent_bytes = 0
+        self._kept_chunks: dict[int, tuple[int, dict[int, list[MessageRows]]]] = {}
+        self._kept_bytes = 0
         try:
             scan = RecordScan()
             scan_records(self._file, scan, verify_checksums)
@@ -198,10 +198,10 @@ class RunLog:
     def _message_rows_of_chunk(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the blocks of messages of one channel in one chunk.
 
-        The latest chunks stay in memory, for callers that read several channels of the same chunk,
-        or read a short log several times.
+        The latest chunk stays in memory, for callers that read several channels of the same chunk.
+        The first chunks stay in memory, too, for callers that read the log several times.
         """
-        if chunk.offset not in self._recent_chunks:
+        if chunk.offset not in self._kept_chunks:
             content = self._file.chunk_content(chunk)
             rows_by_channel: dict[int, list[MessageRows]] = {}
             with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -209,12 +209,14 @@ class RunLog:
                     rows_by_channel.setdefault(rows.channel, []).append(rows)
             block_count = sum(map(len, rows_by_channel.values()))
             size = chunk.size + _BLOCK_BYTES * block_count
-            self._recent_bytes += size
-            while self._recent_chunks and self._recent_bytes > _CACHE_BYTES:
-                oldest_offset = next(iter(self._recent_chunks))
-                self._recent_bytes -= self._recent_chunks.pop(oldest_offset)[0]
-            self._recent_chunks[chunk.offset] = size, rows_by_channel
-        return self._recent_chunks[chunk.offset][1].get(channel, [])
+            self._kept_bytes += size
+            # The chunk that was read last makes room for the next chunk. A program that reads a long
+            # log again from the start still finds the first chunks in memory.
+            while self._kept_chunks and self._kept_bytes > _CACHE_BYTES:
+                _, (removed_size, _) = self._kept_chunks.popitem()
+                self._kept_bytes -= removed_size
+            self._kept_chunks[chunk.offset] = size, rows_by_channel
+        return self._kept_chunks[chunk.offset][1].get(channel, [])
 
     @functools.cached_property
     def _chunk_index(self) -> _ChunkIndex:
