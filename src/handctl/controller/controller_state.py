@@ -23,6 +23,7 @@ from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.frame import make_tuple
 from handctl.drives.readback import RecheckCursor
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
@@ -289,12 +290,12 @@ class ControllerState:
     @property
     def estimate(self) -> HandEstimate:
         """Return the estimated state of the hand in this tick, as an object with named quantities."""
-        return HandEstimate(self.layout, self.block)
+        return make_tuple(HandEstimate, (self.layout, self.block))
 
     @property
     def measurements(self) -> TickMeasurements:
         """Return the measurements of this tick, as an object with named quantities."""
-        return TickMeasurements(self.layout, self.block)
+        return make_tuple(TickMeasurements, (self.layout, self.block))
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:

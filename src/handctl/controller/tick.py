@@ -64,7 +64,7 @@ from handctl.core.wire import cyclic_frames
 from handctl.core.wire.wire_tables import ReceiveTables, WireTables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import Frame
+from handctl.drives.frame import Frame, make_tuple
 from handctl.drives.frame_records import (
     FIRST_PAYLOAD_WORD,
     NO_FRAMES,
@@ -402,15 +402,11 @@ class Controller:
         tick_stages.store_commands(state.block, *derived_constants.kernel_args, elements, telemetry)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
-        tick_output = TickOut(
-            tick_in_progress.sent_frames,
-            mode,
-            phase,
-            tick_in_progress.action,
+        tick_output = make_tuple(TickOut, (
+            tick_in_progress.sent_frames, mode, phase, tick_in_progress.action,
             PackedTelemetry(telemetry, derived_constants.telemetry_places.slices),
-            tick_in_progress.events,
-            state.digest(),
-        )
+            tick_in_progress.events, state.digest(),
+        ))  # fmt: skip
         return state, tick_output
 
     # receive, estimate

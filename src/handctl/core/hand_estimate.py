@@ -3,6 +3,8 @@
 The estimate and the measurements are views of the state block.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,25 +17,16 @@ from handctl.core.tick_types import Vector
 QuantityTable = NDArray[np.float64]
 
 
-class _StateView:
+class _StateView(NamedTuple):
     """View of a state block, whose properties are read by task programs.
 
     Attributes:
         layout: layout of the state block.
-        block: state block.
+        block: state block, not copied.
     """
 
-    __slots__ = ("block", "layout")
-
-    def __init__(self, layout: BlockLayout, block: BlockArray) -> None:
-        """Store the state block, without a copy.
-
-        Args:
-            layout: layout of the state block.
-            block: state block.
-        """
-        self.layout = layout
-        self.block = block
+    layout: BlockLayout
+    block: BlockArray
 
     # Most ticks of a program need no table, so the views of the tables are created only when they
     # are used.

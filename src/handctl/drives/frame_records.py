@@ -20,7 +20,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.drives.frame import Frame
+from handctl.drives.frame import Frame, make_tuple
 
 FRAME_RECORD_DTYPE = np.dtype(
     [
@@ -104,12 +104,12 @@ class Frames(Sequence[Frame]):
         if isinstance(index, slice):
             return Frames(np.ascontiguousarray(self.rows[index]))
         t_ns, can_id, flags, bus, length, data = _RECORD_STRUCT.unpack(self.rows[index])
-        return Frame(can_id, data[:length], flags, bus, t_ns)
+        return make_tuple(Frame, (can_id, data[:length], flags, bus, t_ns))
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames as ``Frame`` objects."""
         for t_ns, can_id, flags, bus, length, data in _RECORD_STRUCT.iter_unpack(self.rows.data):
-            yield Frame(can_id, data[:length], flags, bus, t_ns)
+            yield make_tuple(Frame, (can_id, data[:length], flags, bus, t_ns))
 
     def __eq__(self, other: object) -> bool:
         """Return True if the other sequence has equal frames."""

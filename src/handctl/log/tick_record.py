@@ -42,6 +42,7 @@ from handctl.core.tick_types import (
     TickIn,
     TickOut,
 )
+from handctl.drives.frame import make_tuple
 from handctl.drives.frame_records import (
     CLASSICAL_RECORD_BYTES,
     FRAME_RECORD_DTYPE,
@@ -110,11 +111,6 @@ _ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
 
 A dictionary finds a member four times as fast as a call of the enumeration. A value that is not in
 the dictionary is passed to the enumeration, which raises ValueError.
-"""
-new_tuple = tuple.__new__
-"""Function that creates a named tuple.
-
-The function `tuple.__new__` is faster than the constructor of the named tuple.
 """
 COUNT_STRUCT = struct.Struct("<I")
 NO_LONG_DATA = COUNT_STRUCT.pack(0)
@@ -328,7 +324,7 @@ def _tick_without_events(
 ) -> TickRecord:
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
-    tick_input = new_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
+    tick_input = make_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
     # The members with the value 0 are false, so the results are compared with None.
     mode_member = _MODE_BY_VALUE.get(mode)
     if mode_member is None:
@@ -336,7 +332,7 @@ def _tick_without_events(
     action_member = _ACTION_BY_VALUE.get(action)
     if action_member is None:
         action_member = SafetyAction(action)
-    return new_tuple(
+    return make_tuple(
         TickRecord, (tick_input, sent_frames, mode_member, phase, action_member, (), state_hash)
     )
 
