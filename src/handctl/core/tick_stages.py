@@ -16,6 +16,9 @@ refer      goals -> required joint torques and tensions
 act        required tensions, goals, estimate -> motor torques
 store      commands -> memory for the next tick, numbers for the log
 send       motor torques -> frames, see ``wire.cyclic_frames``
+
+In most ticks, no state machine must handle a frame. The kernel ``receive_and_correct`` then executes
+the stages from begin to correct.
 """
 
 import math
