@@ -26,8 +26,9 @@ order of the frames.
 
 import functools
 import struct
+from enum import IntEnum
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,18 +104,33 @@ _LONG_DATA_INDEXES = np.arange(SHORT_DATA_BYTES, _MAX_DATA_BYTES)
 """Indexes of the payload bytes after the eighth."""
 _FRAMES_OFFSET = TICK_HEAD_STRUCT.size + 4
 """Offset of the received frames in a Tick message [bytes]."""
-_TickHead = tuple[int, int, int, bytes, int, int, int]
-"""Values of the first part of a Tick message."""
-_MODE_BY_VALUE = {mode.value: mode for mode in HandMode}
-_ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
-"""Members of the enumerations of modes and of safety actions, by value.
-
-A dictionary finds a member four times as fast as a call of the enumeration. A value that is not in
-the dictionary is passed to the enumeration, which raises ValueError.
-"""
 COUNT_STRUCT = struct.Struct("<I")
 NO_LONG_DATA = COUNT_STRUCT.pack(0)
 """Encoded number of long bytes of a tick whose frames have no long bytes."""
+E = TypeVar("E", bound=IntEnum)
+_TickHead = tuple[int, int, int, bytes, int, int, int]
+"""Values of the first part of a Tick message."""
+
+
+class _MembersByValue(dict[int, E]):
+    """Members of an enumeration by value.
+
+    A dictionary finds a member four times as fast as a call of the enumeration. A value without a
+    member is passed to the enumeration, which raises ValueError.
+    """
+
+    def __init__(self, enumeration: type[E]) -> None:
+        """Store all members of an enumeration whose values are integers."""
+        super().__init__({member.value: member for member in enumeration})
+        self._enumeration = enumeration
+
+    def __missing__(self, value: int) -> E:
+        """Raise the error of the enumeration for a value without a member."""
+        return self._enumeration(value)
+
+
+_MODE_BY_VALUE = _MembersByValue(HandMode)
+_ACTION_BY_VALUE = _MembersByValue(SafetyAction)
 
 
 class TickRecord(NamedTuple):
@@ -295,10 +311,24 @@ def _build_tick(
         message: the whole Tick message.
         tail_offset: offset of the phase in the message [bytes].
     """
-    phase = _phase_of_eventless_tail(message[tail_offset:])
-    if phase is not None:
-        return _tick_without_events(tick_head, received_frames, sent_frames, phase)
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
+    io_events: tuple[IoEvent, ...] = ()
+    requests: tuple[str, ...] = ()
+    events: tuple[TickEvent, ...] = ()
+    phase = _phase_of_eventless_tail(message[tail_offset:])
+    if phase is None:
+        phase, io_events, requests, events = _decode_message_end(message, tail_offset)
+    tick_input = make_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, io_events, requests))
+    return make_tuple(TickRecord, (
+        tick_input, sent_frames, _MODE_BY_VALUE[mode], phase, _ACTION_BY_VALUE[action], events,
+        state_hash,
+    ))  # fmt: skip
+
+
+def _decode_message_end(
+    message: bytes, tail_offset: int
+) -> tuple[str, tuple[IoEvent, ...], tuple[str, ...], tuple[TickEvent, ...]]:
+    """Decode the phase, the io events, the requests and the events at the end of a Tick message."""
     reader = CdrReader(message)
     reader.read_bytes(tail_offset - 4)
     phase = reader.read_string()
@@ -313,28 +343,7 @@ def _build_tick(
         )
         for _ in range(reader.read_length())
     )
-    tick_input = TickIn(k, t_ns, lateness_ns, received_frames, io_events, requests)
-    return TickRecord(
-        tick_input, sent_frames, HandMode(mode), phase, SafetyAction(action), events, state_hash
-    )
-
-
-def _tick_without_events(
-    tick_head: _TickHead, received_frames: Frames, sent_frames: Frames, phase: str
-) -> TickRecord:
-    """Return a tick that has no io events, no requests and no events."""
-    k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
-    tick_input = make_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
-    # The members with the value 0 are false, so the results are compared with None.
-    mode_member = _MODE_BY_VALUE.get(mode)
-    if mode_member is None:
-        mode_member = HandMode(mode)
-    action_member = _ACTION_BY_VALUE.get(action)
-    if action_member is None:
-        action_member = SafetyAction(action)
-    return make_tuple(
-        TickRecord, (tick_input, sent_frames, mode_member, phase, action_member, (), state_hash)
-    )
+    return phase, io_events, requests, events
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:

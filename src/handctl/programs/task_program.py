@@ -113,10 +113,11 @@ class TaskProgram:
         """Advance the present phase of the task by one tick."""
         phase = self.task.phase[progress.step - 1]
         events: tuple[TickEvent, ...] = ()
-        if isinstance(phase, ClosePhase):
+        if isinstance(phase, HoldPhase):
+            if progress.grip is not None:
+                progress, events = self._advance_hold(model, phase, progress, estimate, t)
+        elif isinstance(phase, ClosePhase):
             progress, events = self._detect_contact(model, phase, progress, estimate, t)
-        elif isinstance(phase, HoldPhase) and progress.grip is not None:
-            progress, events = self._advance_hold(model, phase, progress, estimate, t)
         if self._is_phase_over(model, progress, estimate, t):
             events += self._release_warnings(model, progress, estimate)
             progress, entered = self._enter_phase(model, progress, estimate, t)
@@ -352,7 +353,7 @@ class TaskProgram:
         """Return True if the present phase of the task has ended."""
         phase = self.task.phase[progress.step - 1]
         elapsed = t - progress.since
-        if isinstance(phase, MovePhase | HoldPhase):
+        if isinstance(phase, (HoldPhase, MovePhase)):
             return elapsed >= phase.duration_s
         if isinstance(phase, FollowPhase):
             return elapsed >= phase.time_s[-1]
