@@ -147,7 +147,7 @@ NO_TELEMETRY = np.empty(0, np.int64), np.empty(0)
 def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
     """Return the constants of a hand model, and the memory layout of these constants.
 
-    The constants and their layout are the last two arguments of every stage of a tick.
+    In every stage of a tick, these two arguments follow the state block and its layout.
     """
     return controller_of(model).derived_constants.kernel_args[1:]
 

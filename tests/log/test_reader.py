@@ -54,9 +54,7 @@ def test_ticks_come_back_exactly(varied_log: Path) -> None:
         assert tick == expected
 
 
-def test_kept_chunks_are_kept_up_to_a_limit(
-    varied_log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_are_kept_up_to_a_limit(varied_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with RunLog(varied_log) as log:
         expected_ticks = list(log.ticks())
         assert len(log._kept_chunks) == len(log.scan.chunks) > 3

@@ -175,14 +175,11 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     ``disable_command_ns``.
     """
     progress: EnablingProgress = state.protocol_state
-    phase = ENABLED if progress.may_be_enabled else state.phase
-    if progress.is_disabling and phase == state.phase:
-        return state
-    disabling_start_ns = progress.disable_command_ns if progress.is_disabling else t_ns
-    return state._replace(
-        phase=phase,
-        protocol_state=progress._replace(is_disabling=True, disable_command_ns=disabling_start_ns),
-    )
+    if not progress.is_disabling:
+        state = state._replace(
+            protocol_state=progress._replace(is_disabling=True, disable_command_ns=t_ns)
+        )
+    return state._replace(phase=ENABLED) if progress.may_be_enabled else state
 
 
 def state_when_off(
@@ -201,19 +198,12 @@ def state_when_off(
         error_text: text of the error ``error_code``.
     """
     progress: EnablingProgress = state.protocol_state
-    may_change = (
-        has_dropped_out
-        or state.phase != READY
-        or state.error
-        or progress.is_enable_sent
-        or progress.enabled_by_other_host
-        or progress.errors_to_ignore
-    )
-    if not may_change:
-        return state  # most reports come from a drive that waits in the phase READY
     progress_when_off = progress._replace(
         is_enable_sent=False, enabled_by_other_host=False, errors_to_ignore=0
     )
+    is_waiting = state.phase == READY and not state.error and progress_when_off == progress
+    if is_waiting and not has_dropped_out:
+        return state  # most reports come from a drive that waits in the phase READY
     if progress.is_disabling:
         # Feedback that the drive sent before the disable command does not show the effect of the
         # command.
