@@ -34,32 +34,27 @@ threshold.
 
 @kernel_helper
 def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
-    """Compare the present load-cell readings with the readings of the last ``MAX_READING_AGE_TICKS`` ticks."""
-    count = x.tendon.shape[1]
-    for n in range(count):
-        x.tendon[s.PRESENT_CELL_READING, n] = (
-            x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
-        )
-        x.tendon_int[s.LONGEST_READING_REPETITION, n] = 0
-    for age in range(MAX_READING_AGE_TICKS):
-        for n in range(count):
-            is_equal_reading = (
-                x.tendon[s.PAST_CELL_READINGS + age, n] == x.tendon[s.PRESENT_CELL_READING, n]
-            )
-            run_length = (
-                min(x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_READING_AGE_TICKS)
-                if is_equal_reading
-                else 0
-            )
+    """Compare the present load-cell readings with the readings of the last ``MAX_READING_AGE_TICKS`` ticks.
+
+    The present reading then becomes the youngest of the past readings.
+    """
+    for n in range(x.tendon.shape[1]):
+        present = x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
+        x.tendon[s.PRESENT_CELL_READING, n] = present
+        longest_run = 0
+        next_past = present
+        for age in range(MAX_READING_AGE_TICKS):
+            past = x.tendon[s.PAST_CELL_READINGS + age, n]
+            x.tendon[s.PAST_CELL_READINGS + age, n] = next_past
+            next_past = past
+            run_length = 0
+            if past == present:
+                run_length = min(
+                    x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_READING_AGE_TICKS
+                )
+                longest_run = max(longest_run, run_length)
             x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run_length
-            x.tendon_int[s.LONGEST_READING_REPETITION, n] = max(
-                x.tendon_int[s.LONGEST_READING_REPETITION, n], run_length
-            )
-    for age in range(MAX_READING_AGE_TICKS - 1, 0, -1):
-        for n in range(count):
-            x.tendon[s.PAST_CELL_READINGS + age, n] = x.tendon[s.PAST_CELL_READINGS + age - 1, n]
-    for n in range(count):
-        x.tendon[s.PAST_CELL_READINGS, n] = x.tendon[s.PRESENT_CELL_READING, n]
+        x.tendon_int[s.LONGEST_READING_REPETITION, n] = longest_run
 
 
 @kernel_helper
