@@ -14,7 +14,7 @@ CODE_PATTERNS_BY_PART = {
         "firmware_sim/plant/rigid_body_engine", "firmware_sim/scene/support_table", "firmware_sim/plant/drivetrain"),
     "simulated drives and sensors, their codec": ("firmware_sim/",),
     "host's codec and drive states": ("handctl/drives/",
-        "tick.py/_receive_remaining_frames", "tick.py/_write_commands", "tick.py/store_drive_state"),
+        "tick.py/_receive_remaining_frames", "tick.py/_add_other_commands", "tick.py/store_drive_state"),
     "estimation": ("core/estimation/", "core/hand_estimate", "filterpy/", "tick.py/_process_frames"),
     "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_drives"),
     "program": ("handctl/programs/",),

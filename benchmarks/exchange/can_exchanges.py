@@ -81,17 +81,18 @@ class HandctlExchange:
 
         from handctl.core import tick_stages
         from handctl.core.wire import cyclic_frames
-        from handctl.drives.contract import DriveTarget
-        from handctl.drives.frame_records import WORDS_PER_RECORD
+        from handctl.drives.frame_records import WORDS_PER_RECORD, Frames
         from handctl.runtime.buses.bus_opening import open_bus
 
         self.controller, state = enabled_controller(motor_count)
         self.state = state.copy()
-        self.drive_target = DriveTarget.ENABLE
         self.begin_tick = tick_stages.begin_tick
         self.receive_frames = cyclic_frames.receive_frames
+        self.encode_commands = cyclic_frames.encode_commands
+        self.frame_type = Frames
         constants = self.controller.derived_constants
-        self.receive_args = (*constants.kernel_args, *constants.wire_tables.receive_tables)
+        self.receive_args = (*constants.kernel_args, *constants.wire.kernel_args)
+        self.send_args = (constants.layout.offsets, *constants.wire.kernel_args)
         self.np = np
         self.shape = 1 + motor_count, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
@@ -101,10 +102,10 @@ class HandctlExchange:
         np = self.np
         state = self.state
         frame_words = np.zeros(self.shape, dtype=np.uint64)
-        frames = self.controller._write_commands(
-            state, frame_words, 0, self.drive_target, np.array(torques), self.t_ns
+        _, count = self.encode_commands(
+            state.block, *self.send_args, frame_words, np.array(torques), 0, 0
         )
-        self.bus.send(frames[1:])  # The benchmark sends no SYNC.
+        self.bus.send(self.frame_type(frame_words[:count]))
 
     def receive(self):
         frames = self.bus.drain()

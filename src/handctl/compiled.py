@@ -86,6 +86,7 @@ if NUMBA_INSTALLED:
         "constants": types.Array(types.float64, 1, "C", readonly=True),
         "layout": types.Array(types.int64, 1, "C"),
         "words": types.Array(types.uint64, 2, "C"),
+        "frame_tables": types.Array(types.uint64, 1, "C", readonly=True),
         "results": types.Array(types.float64, 2, "C"),
         "vector": types.Array(types.float64, 1, "A", readonly=True),
         "matrix": types.Array(types.float64, 2, "A", readonly=True),
@@ -107,8 +108,8 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     Args:
         arguments: type of each argument. The types real and count are numbers. The types vector,
             matrix, cube, flags and counts are arrays that the kernel reads. The types keys (int64),
-            table (rows of float64), table_int and table_words (rows of uint64) are contiguous arrays
-            that the kernel reads and is allowed to borrow. The types block (float64), layout
+            table (rows of float64), table_int, table_words (rows of uint64) and frame_tables (uint64)
+            are contiguous arrays that the kernel reads and is allowed to borrow. The types block (float64), layout
             (int64), words (rows of uint64) and results (rows of float64) are contiguous arrays into
             which the kernel is allowed to write.
     """

@@ -25,6 +25,7 @@ from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import control_loop_count, design_motion
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
+from handctl.drives.frame_records import WordRows
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import hand_path
 from handctl.programs.commission import CommissionProgram
@@ -157,16 +158,33 @@ def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedCo
     An entry of the list contains the arguments of the call, and the states of the controller before
     and after the call.
     """
-    calls, real = list[RecordedControlLawCall](), Controller._compute_torques
+    calls = list[RecordedControlLawCall]()
+    compute_torques, command_active_hand = (
+        Controller._compute_torques,
+        Controller._command_active_hand,
+    )
 
-    def record_call(
+    def record_torques(
         self: Controller, state: ControllerState, action: SafetyAction, ticks: int
     ) -> None:
         state_before = state.copy()
-        real(self, state, action, ticks)
+        compute_torques(self, state, action, ticks)
         calls.append((self, state_before, state.copy(), action, ticks))
 
-    monkeypatch.setattr(Controller, "_compute_torques", record_call)
+    def record_commands(
+        self: Controller,
+        state: ControllerState,
+        frame_rows: WordRows,
+        action: SafetyAction,
+        ticks: int,
+    ) -> tuple[int, int]:
+        state_before = state.copy()
+        encoded_commands = command_active_hand(self, state, frame_rows, action, ticks)
+        calls.append((self, state_before, state.copy(), action, ticks))
+        return encoded_commands
+
+    monkeypatch.setattr(Controller, "_compute_torques", record_torques)
+    monkeypatch.setattr(Controller, "_command_active_hand", record_commands)
     return calls
 
 

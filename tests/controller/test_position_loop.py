@@ -27,7 +27,7 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
-from handctl.core.wire.wire_tables import WireTables
+from handctl.core.wire.wire_table_building import build_wire_tables
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
@@ -530,7 +530,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     )
     drives = make_drives(hand)
     steps, loop = servo_resolutions(model, drives), servo_constants(model)
-    wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
+    wire = build_wire_tables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
         rows = wire.servo_signal_scalings[wire.servos[n, 0] : wire.servos[n, 1]]
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):

@@ -192,17 +192,17 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()
-        layout, tables = run.state.layout, run.controller.derived_constants.wire_tables
+        layout, wire = run.state.layout, run.controller.derived_constants.wire
         torque = run.state.tendon[s.COMMANDED_TORQUE].copy()
         if target_row == s.SERVO_KP and math.isnan(target_value):
             # A comparison of NaN with 0 is false. A command whose kp is NaN is therefore always a
             # torque command.
             target_value = math.inf
         block = run.state.block.copy()
-        assert len(sent_frames(block, layout, tables, torque)) == 4
-        valid_sent_frame = sent_frames(block, layout, tables, torque)[1]
+        assert len(sent_frames(block, layout, wire, torque)) == 4
+        valid_sent_frame = sent_frames(block, layout, wire, torque)[1]
         layout.table(block, "servo")[target_row, 1] = target_value
-        frames = sent_frames(block, layout, tables, torque)
+        frames = sent_frames(block, layout, wire, torque)
         drive = run.controller.drives[1]
         assert isinstance(drive, MoteusDrive)
         assert valid_sent_frame[17:19] == b"\x0f\x23"
@@ -211,11 +211,11 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
         assert moteus_command(frames[0])[3] > 0.0
 
 
-def sent_frames(block, layout, tables, torque) -> list[bytes]:
+def sent_frames(block, layout, wire, torque) -> list[bytes]:
     """Encode the drive commands in the controller state ``block``, and return the payloads of the frames."""
-    out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
+    out = np.zeros((wire.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
-        block, layout.offsets, *tables.command_tables, out, torque, 0, 0
+        block, layout.offsets, *wire.kernel_args, out, torque, 0, 0
     )
     assert first_drive == len(torque)
     return [frame.data for frame in Frames(out[:count])]

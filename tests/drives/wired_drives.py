@@ -17,7 +17,8 @@ from handctl.core import tick_stages
 from handctl.core.constants import CONSTANT_SCHEMA, FILTER_DESIGN_COUNT, FILTER_DESIGN_SIZE
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.wire import cyclic_frames
-from handctl.core.wire.wire_tables import WireTables
+from handctl.core.wire.wire_table_building import build_wire_tables
+from handctl.core.wire.wire_tables import WireBlock
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
@@ -47,7 +48,7 @@ class WiredDrives:
         self.layout = STATE_SCHEMA.layout(
             {**axes, "group": max(1, len(sensors.ids)), "instance": n + joint_count, "run": 1}
         )
-        self.tables = WireTables(drives, sensors)
+        self.wire = WireBlock(build_wire_tables(drives, sensors))
         self.block = self.layout.initial.copy()
         self.owners = {
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
@@ -90,7 +91,7 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.offsets, *self._load_cell_constants, *self.tables.receive_tables,
+                self.block, self.layout.offsets, *self._load_cell_constants, *self.wire.kernel_args,
                 frames.rows, at, self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
@@ -110,12 +111,12 @@ class WiredDrives:
         The frames request the drive state ``target``, and command the torques ``torque`` [N m].
         """
         self.field_view("t_ns")[...] = t_ns
-        tables, sent, first_drive = self.tables, list[Frame](), 0
+        sent, first_drive = list[Frame](), 0
         while True:
             if target == DriveTarget.ENABLE:
-                out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
+                out = np.zeros((self.wire.max_frames, WORDS_PER_RECORD), np.uint64)
                 first_drive, count = cyclic_frames.encode_commands(
-                    self.block, self.layout.offsets, *tables.command_tables, out,
+                    self.block, self.layout.offsets, *self.wire.kernel_args, out,
                     np.asarray(torque, dtype=np.float64), first_drive, 0,
                 )  # fmt: skip
                 sent += Frames(out[:count])

@@ -44,7 +44,10 @@ from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import write_goal_torques
+from handctl.core.control_law.required_tensions import (
+    write_goal_torques,
+    write_torques_after_goals,
+)
 from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.estimation.consistency_events import consistency_events
@@ -61,7 +64,8 @@ from handctl.core.tick_types import (
     Vector,
 )
 from handctl.core.wire import cyclic_frames
-from handctl.core.wire.wire_tables import ReceiveTables, WireTables
+from handctl.core.wire.wire_table_building import build_wire_tables
+from handctl.core.wire.wire_tables import WireBlock
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame, make_tuple
@@ -75,6 +79,7 @@ from handctl.drives.frame_records import (
     frames_as_records,
 )
 from handctl.drives.sensors.contract import SensorInterface
+from handctl.hand.dynamics import required_torque
 from handctl.programs.program import TARE_PHASE, Program, ProgramProgress
 from handctl.programs.requests import (
     REFUSAL_EVENT_PREFIX,
@@ -118,7 +123,7 @@ class DerivedConstants:
             state block, then block and table positions of ``constants``.
         prediction: prediction of the filter states.
         torque_elements: elements of the commanded torques in the state block.
-        wire_tables: signal tables of the drives' cyclic frames.
+        wire: signal tables of the drives' cyclic frames.
         telemetry_places: places of the telemetry in the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
@@ -136,7 +141,7 @@ class DerivedConstants:
     kernel_args: tuple[TableOffsets, Vector, TableOffsets]
     prediction: FilterPrediction
     torque_elements: slice
-    wire_tables: WireTables
+    wire: WireBlock
     telemetry_places: TelemetryPlaces
     drive_index_by_id: dict[tuple[int, int], int]
     amplifier_index_by_id: dict[tuple[int, int], int]
@@ -166,14 +171,16 @@ class DerivedConstants:
     ) -> "DerivedConstants":
         """Compute the constants that follow from a hand, its drives, its sensors and the safety thresholds."""
         layout = layout_of_state(model, len(sensors.ids))
-        wire_tables = WireTables(
-            drives,
-            sensors,
-            constants.layout.view(constants.block, "servo").astype(bool).tolist(),
-            model.torque_gain,
+        wire = WireBlock(
+            build_wire_tables(
+                drives,
+                sensors,
+                constants.layout.view(constants.block, "servo").astype(bool).tolist(),
+                model.torque_gain,
+            )
         )
         first_torque = layout.starts["tendon"] + s.COMMANDED_TORQUE * layout.axes["tendon"]
-        frame_template = np.zeros((wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
+        frame_template = np.zeros((wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
         return DerivedConstants(
             limits=limits,
@@ -182,7 +189,7 @@ class DerivedConstants:
             kernel_args=(layout.offsets, constants.block, constants.layout.offsets),
             prediction=FilterPrediction(model, layout),
             torque_elements=slice(first_torque, first_torque + len(drives)),
-            wire_tables=wire_tables,
+            wire=wire,
             telemetry_places=TelemetryPlaces(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
@@ -378,10 +385,22 @@ class Controller:
             )
         if state.decisions.pending_gains:
             tick_in_progress.state_before_torques = state.copy()
-        self._compute_torques(
-            state, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
+        action = tick_in_progress.action
+        ticks = tick_input.k - tick_in_progress.last_state.k
+        if state.mode == ACTIVE and self.model.inverse_dynamics is required_torque:
+            frame_rows = self._first_frame_rows(state)
+            next_drive, count = self._command_active_hand(state, frame_rows, action, ticks)
+        else:
+            self._compute_torques(state, action, ticks)
+            if state.mode in _MODES_WITHOUT_COMMANDS:
+                shutdown_frames = hand_modes.shutdown_frames(self.drives, state)
+                tick_in_progress.sent_frames = frames_as_records(shutdown_frames)
+                return
+            frame_rows = self._first_frame_rows(state)
+            next_drive, count = self._encode_commands(state, frame_rows, 0, 1)
+        tick_in_progress.sent_frames = self._complete_frames(
+            state, frame_rows, next_drive, count, tick_input.t_ns
         )
-        tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Return the state after the tick, and the output of the tick. See ``TickInProgress.conclude``.
@@ -425,19 +444,18 @@ class Controller:
         block = state.block
         derived_constants = self.derived_constants
         kernel_args = derived_constants.kernel_args
-        receive_tables = derived_constants.wire_tables.receive_tables
+        wire = derived_constants.wire
         if state.decisions.amplifiers:
-            receive_tables = derived_constants.wire_tables.receive_tables_without_groups(
-                self._groups_not_ready(state.decisions.amplifiers)
-            )
+            wire = wire.without_groups(self._groups_not_ready(state.decisions.amplifiers))
         missed_ticks = tick_input.k - last_state.k - 1
         min_receive_ns = self.sensors.earliest_answer_time_ns(
             last_state.run_integers[s.TICK_TIME_NS]
         )
-        frame_args = (*kernel_args, *receive_tables, frames.rows)
         next_row = tick_stages.receive_and_correct(
             block,
-            *frame_args,
+            *kernel_args,
+            *wire.kernel_args,
+            frames.rows,
             tick_input.k,
             tick_input.t_ns,
             tick_input.late_ns,
@@ -447,7 +465,7 @@ class Controller:
         second_controller_signs: tuple[str, ...] = ()
         if next_row < len(frames.rows):
             second_controller_signs = self._receive_remaining_frames(
-                state, receive_tables, frames, next_row, min_receive_ns
+                state, wire, frames, next_row, min_receive_ns
             )
             tick_stages.observe_tick(block, *kernel_args)
             tick_stages.correct_tension_estimate(block, *kernel_args)
@@ -462,7 +480,7 @@ class Controller:
     def _receive_remaining_frames(
         self,
         state: ControllerState,
-        receive_tables: ReceiveTables,
+        wire: WireBlock,
         frames: Frames,
         next_row: int,
         min_receive_ns: int,
@@ -471,7 +489,7 @@ class Controller:
 
         Args:
             state: state of the tick, modified in place.
-            receive_tables: tables that decode the frames.
+            wire: tables that decode the frames.
             frames: received frames.
             next_row: index of the first frame that a state machine must handle.
             min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
@@ -480,7 +498,7 @@ class Controller:
         identifier occurs once.
         """
         derived_constants = self.derived_constants
-        kernel_args = (*derived_constants.kernel_args, *receive_tables, frames.rows)
+        kernel_args = (*derived_constants.kernel_args, *wire.kernel_args, frames.rows)
         second_controller_signs: list[str] = []
         while next_row < len(frames):
             # Compiled code has already counted the error frames, so the frame at the index is no
@@ -526,10 +544,9 @@ class Controller:
                 amplifiers=(*amplifiers_before[:i], state_after, *amplifiers_before[i + 1 :])
             )
 
-    def _advance_amplifiers(
-        self, state: ControllerState, target: DriveTarget, t_ns: int
-    ) -> tuple[Frame, ...]:
+    def _advance_amplifiers(self, state: ControllerState, t_ns: int) -> tuple[Frame, ...]:
         """Continue the set-up of the load-cell amplifiers, and return the frames to send."""
+        target = hand_modes.drive_target(state.mode)
         states = list[AmplifierState]()
         sent_frames = list[Frame]()
         for amplifier, amplifier_before in zip(
@@ -706,6 +723,36 @@ class Controller:
             int(action), rate, int(opening_rate), ticks,
         )  # fmt: skip
 
+    def _command_active_hand(
+        self, state: ControllerState, frame_rows: WordRows, action: SafetyAction, ticks: int
+    ) -> tuple[int, int]:
+        """Compute the motor torques of an active hand, and encode the commands of steady drives.
+
+        Return the results of ``_encode_commands``.
+        """
+        derived_constants = self.derived_constants
+        layout = derived_constants.layout
+        sample_trajectories(self.model, layout, state.block, state.progress.goals, state.goal_time)
+        unsolved_digits, next_drive, count = tick_stages.command_active_hand(
+            state.block,
+            *derived_constants.kernel_args,
+            *derived_constants.wire.kernel_args,
+            frame_rows,
+            action,
+            ticks,
+        )
+        if not unsolved_digits:
+            return next_drive, count
+        write_torques_after_goals(
+            self.model,
+            layout,
+            derived_constants.constants,
+            state.block,
+            unsolved_digits,
+            ticks=ticks,
+        )
+        return self._encode_commands(state, frame_rows, 0, 1)
+
     def _design_pending_gains(
         self,
         state_before_torques: ControllerState,
@@ -743,39 +790,74 @@ class Controller:
 
     # encode
 
-    def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
-        """Return the frames of the tick: SYNC, then the command of each drive.
-
-        In the mode CUT, the frames that cut the torque come first, SYNC follows, and no commands to
-        drives are sent. In the modes SILENT and DONE, only the frames of ``shutdown_frames`` are
-        sent.
-        """
-        mode = state.mode
-        if mode in _MODES_WITHOUT_COMMANDS:
-            return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
+    def _first_frame_rows(self, state: ControllerState) -> WordRows:
+        """Return rows for the frames of the tick, with the SYNC frame of the sensor node in row 0."""
         derived_constants = self.derived_constants
         frame_rows = derived_constants.frame_template.copy()
-        # A hand without sensors needs no SYNC frame, so row 0 is not sent.
-        first_sent_row = 0 if derived_constants.sends_sync else 1
-        amplifiers = state.decisions.amplifiers
         if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
             frame_rows[0, FIRST_PAYLOAD_WORD] = counter
             state.run_integers[s.SYNC_COUNTER] = counter & 0xF
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
+            amplifiers = state.decisions.amplifiers
             if not amplifiers or all(
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
                 state.run_integers[s.SYNC_COUNT] += 1
-        torque = state.block[derived_constants.torque_elements]
-        if self.model.torque_gain is not None:
-            torque = torque / self.model.torque_gain
-        target = hand_modes.drive_target(mode)
-        sent_frames = self._write_commands(state, frame_rows, first_sent_row, target, torque, t_ns)
-        if amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
+        return frame_rows
+
+    def _encode_commands(
+        self, state: ControllerState, frame_rows: WordRows, first_drive: int, count: int
+    ) -> tuple[int, int]:
+        """Encode the commands of steady drives, see ``cyclic_frames.encode_commands``.
+
+        If the mode of the hand does not enable the drives, their state machines compute all frames,
+        so that the function encodes no commands.
+        """
+        if hand_modes.drive_target(state.mode) != DriveTarget.ENABLE:
+            return first_drive, count
+        return cyclic_frames.encode_commands(
+            state.block,
+            self.derived_constants.layout.offsets,
+            *self.derived_constants.wire.kernel_args,
+            frame_rows,
+            self._drive_torques(state),
+            first_drive,
+            count,
+        )
+
+    def _drive_torques(self, state: ControllerState) -> Vector:
+        """Return the torques (N,) that are commanded to the drives [N m]."""
+        torque = state.block[self.derived_constants.torque_elements]
+        return torque if self.model.torque_gain is None else torque / self.model.torque_gain
+
+    def _complete_frames(
+        self, state: ControllerState, frame_rows: WordRows, next_drive: int, count: int, t_ns: int
+    ) -> Frames:
+        """Return the frames of the tick: SYNC, then the command of each drive.
+
+        In the mode CUT, the frames that cut the torque come first, SYNC follows, and no commands to
+        drives are sent.
+
+        Args:
+            state: state of the tick, modified in place.
+            frame_rows: (frames, WORDS_PER_RECORD) SYNC frame, and the commands of the first drives.
+            next_drive: index of the first drive that has no command yet.
+            count: number of records in ``frame_rows``, with SYNC.
+            t_ns: time of the tick [ns].
+        """
+        # A hand without sensors needs no SYNC frame, so row 0 is not sent.
+        first_sent_row = 0 if self.derived_constants.sends_sync else 1
+        if next_drive < len(self.drives):
+            sent_frames = self._add_other_commands(
+                state, frame_rows, first_sent_row, next_drive, count, t_ns
+            )
+        else:
+            sent_frames = Frames(frame_rows[first_sent_row:count])  # as in most ticks
+        if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, t_ns)):
             sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
-        if mode != CUT:
+        if state.mode != CUT:
             return sent_frames
         return concatenate_frames(
             [
@@ -784,58 +866,51 @@ class Controller:
             ]
         )
 
-    def _write_commands(
+    def _add_other_commands(
         self,
         state: ControllerState,
-        frame_words: WordRows,
+        frame_rows: WordRows,
         first_sent_row: int,
-        target: DriveTarget,
-        torque: Vector,
+        next_drive: int,
+        count: int,
         t_ns: int,
     ) -> Frames:
-        """Write the commands of the drives into ``frame_words``, after the SYNC frame.
+        """Return the frames of the tick after the commands of the remaining drives have been added.
 
         If the state machine of a drive has work to do, such as enabling the drive, the state machine
         computes the frames of this drive. Compiled code encodes the commands of all other drives.
 
         Args:
             state: state of the tick, modified in place.
-            frame_words: memory for the frames, where row 0 is the SYNC frame.
+            frame_rows: (frames, WORDS_PER_RECORD) SYNC frame, and the commands of the first drives.
             first_sent_row: first row to send: 0 with SYNC, 1 without.
-            target: requested state of the drives.
-            torque: (N,) commanded torque [N m].
+            next_drive: index of the first drive that has no command yet. Its state machine has work
+                to do.
+            count: number of records in ``frame_rows``, with SYNC.
             t_ns: time of the tick [ns].
         """
-        command_tables = self.derived_constants.wire_tables.command_tables
-        kernel_args = (state.layout.offsets, *command_tables, frame_words, torque)
-        encode_commands = cyclic_frames.encode_commands
-        drive_count = len(self.drives)
-        n, count = 0, 1
-        if target == DriveTarget.ENABLE:
-            n, count = encode_commands(state.block, *kernel_args, 0, 1)
-            if n >= drive_count:
-                return Frames(frame_words[first_sent_row:count])  # all drives, as in most ticks
+        target = hand_modes.drive_target(state.mode)
+        torque = self._drive_torques(state)
         # Consecutive frames of state machines become records together, because the conversion of
         # one batch takes as long as the conversion of a single frame.
         frame_batches: list[Frames] = []
         unsent_frames: list[Frame] = []
         first_unsent_row = first_sent_row
-        while n < drive_count:
+        n = next_drive
+        while n < len(self.drives):
             frames = self._advance_drive(state, n, target, float(torque[n]), t_ns)
             if frames and count > first_unsent_row:
                 frame_batches += [
                     frames_as_records(unsent_frames),
-                    Frames(frame_words[first_unsent_row:count]),
+                    Frames(frame_rows[first_unsent_row:count]),
                 ]
                 unsent_frames = []
                 first_unsent_row = count
             unsent_frames += frames
-            n += 1
-            if target == DriveTarget.ENABLE:
-                n, count = encode_commands(state.block, *kernel_args, n, count)
+            n, count = self._encode_commands(state, frame_rows, n + 1, count)
         frame_batches += [
             frames_as_records(unsent_frames),
-            Frames(frame_words[first_unsent_row:count]),
+            Frames(frame_rows[first_unsent_row:count]),
         ]
         return concatenate_frames(frame_batches)
 
@@ -853,7 +928,7 @@ class Controller:
             drive_state, frames = drive.clear(state_before)
         else:
             drive_state, frames = drive.advance(state_before, t_ns, target, torque)
-            servos = self.derived_constants.wire_tables.servos
+            servos = self.derived_constants.wire.tables.servos
             if servos[n, 0] < servos[n, 1]:
                 send_torque_only(state, n)
         if drive_state is not state_before:

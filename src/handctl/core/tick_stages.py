@@ -45,7 +45,7 @@ from handctl.core.estimation import (
 from handctl.core.state_block import StateTables, state_tables, write_canonical_nan
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
 from handctl.core.wire import cyclic_frames
-from handctl.core.wire.wire_tables import FloatArray, IntArray
+from handctl.core.wire.wire_tables import IntArray, WordBlock, wire_tables
 from handctl.drives.frame_records import WordRows
 from handctl.safety.safety_action import SafetyAction
 
@@ -228,8 +228,7 @@ def _correct_tension_estimate(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel(
-    "block", "layout", "constants", "layout",
-    "keys", "table_int", "table_int", "table", "table_int", "words",
+    "block", "layout", "constants", "layout", "frame_tables", "layout",
     "words", "count", "count", "count", "count", "count",
 )  # fmt: skip
 def receive_and_correct(
@@ -237,12 +236,8 @@ def receive_and_correct(
     at: TableOffsets,
     constants: BlockArray,
     constant_offsets: TableOffsets,
-    keys: IntArray,
-    entries: IntArray,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-    recheck_ranges: IntArray,
-    rechecks: WordRows,
+    table_words: WordBlock,
+    table_offsets: TableOffsets,
     frame_rows: WordRows,
     k: int,
     t_ns: int,
@@ -260,12 +255,8 @@ def receive_and_correct(
         at: ``BlockLayout.offsets`` of the state block.
         constants: constants of the hand.
         constant_offsets: ``BlockLayout.offsets`` of the constants.
-        keys: see ``WireTables``.
-        entries: see ``WireTables``.
-        signal_integers: see ``WireTables``.
-        signal_scalings: see ``WireTables``.
-        recheck_ranges: see ``WireTables``.
-        rechecks: see ``WireTables``.
+        table_words: ``WireBlock.words`` of the hand.
+        table_offsets: ``WireBlock.offsets`` of the hand.
         frame_rows: (n, WORDS_PER_RECORD) records of frames.
         k: number of the tick.
         t_ns: time of the tick [ns].
@@ -279,10 +270,8 @@ def receive_and_correct(
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     _begin_tick(x, k, t_ns, lateness_ns, missed_ticks, len(frame_rows))
-    stop = cyclic_frames.decode_frames(
-        x, c, keys, entries, signal_integers, signal_scalings, recheck_ranges, rechecks,
-        frame_rows, 0, min_receive_ns,
-    )  # fmt: skip
+    w = wire_tables(table_words, table_offsets)
+    stop = cyclic_frames.decode_frames(x, c, w, frame_rows, 0, min_receive_ns)
     if stop == len(frame_rows):
         _observe_tick(x, c)
         _correct_tension_estimate(x, c)
@@ -433,32 +422,54 @@ def _compute_motor_torques(
         computed_torque.command_zero_torque(x, c)
 
 
-@kernel("block", "layout", "constants", "layout", "count", "real", "count", "count")
-def evaluate_goals_and_torques(
+@kernel(
+    "block", "layout", "constants", "layout", "frame_tables", "layout",
+    "words", "count", "count",
+)  # fmt: skip
+def command_active_hand(
     block: BlockArray,
     at: TableOffsets,
     constants: BlockArray,
     constant_offsets: TableOffsets,
+    table_words: WordBlock,
+    table_offsets: TableOffsets,
+    frame_rows: WordRows,
     action: int,
-    relax_rate: float,
-    open_loop: int,
     elapsed_periods: int,
-) -> int:
-    """Evaluate the goals of all digits, and compute the motor torques of the tick.
+) -> tuple[int, int, int]:
+    """Execute the stages refer, act and send for an active hand.
 
-    A single kernel (compiled function) is faster than separate calls of ``evaluate_goals`` and
-    ``compute_motor_torques``. If a bounded least-squares problem must be solved after the
-    evaluation of the goals, the motor torques are not computed.
+    A single kernel (compiled function) is faster than separate calls of ``evaluate_goals``,
+    ``compute_motor_torques`` and ``cyclic_frames.encode_commands``. If a bounded least-squares
+    problem must be solved after the evaluation of the goals, the remaining stages are not executed.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.offsets`` of the state block.
+        constants: constants of the hand.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
+        table_words: ``WireBlock.words`` of the hand.
+        table_offsets: ``WireBlock.offsets`` of the hand.
+        frame_rows: (frames, WORDS_PER_RECORD) result: records of the commands, from row 1 on.
+        action: reaction of the safety monitor, as a value of ``safety.safety_action.SafetyAction``.
+        elapsed_periods: number of control periods since the last tick.
 
     Returns:
-        The result of ``evaluate_goals``, 0 if the motor torques were computed.
+        The result of ``evaluate_goals``, 0 if the motor torques were computed. The two other
+        numbers are the results of ``cyclic_frames.encode_commands``.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     unsolved_digits = _evaluate_goals(x, c, action)
-    if unsolved_digits == 0:
-        _compute_motor_torques(x, c, relax_rate, open_loop, elapsed_periods)
-    return unsolved_digits
+    if unsolved_digits != 0:
+        return unsolved_digits, 0, 1
+    _compute_motor_torques(x, c, 0.0, 0, elapsed_periods)
+    torque = np.empty(x.tendon.shape[1])
+    for n in range(len(torque)):
+        torque[n] = x.tendon[s.COMMANDED_TORQUE, n] / c.tendon[h.TORQUE_GAIN, n]
+    w = wire_tables(table_words, table_offsets)
+    n, count = cyclic_frames.write_commands(x, w, frame_rows, torque, 0, 1)
+    return 0, n, count
 
 
 @kernel("block", "layout", "constants", "layout", "keys", "block")

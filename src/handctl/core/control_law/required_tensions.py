@@ -43,18 +43,44 @@ def write_goal_torques(
         open_loop: see ``tick_stages.compute_motor_torques``.
         ticks: see ``tick_stages.compute_motor_torques``.
     """
-    kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
-    torque_args = relax_rate, open_loop, ticks
     if model.inverse_dynamics is required_torque:
-        unsolved_digits = tick_stages.evaluate_goals_and_torques(*kernel_args, action, *torque_args)
-        if not unsolved_digits:
-            return
+        unsolved_digits = tick_stages.evaluate_goals(
+            block, layout.offsets, constants.block, constants.layout.offsets, action
+        )
     else:
         unsolved_digits = _evaluate_goals_of_experiment(model, layout, constants, block, action)
+    write_torques_after_goals(
+        model, layout, constants, block, unsolved_digits, relax_rate, open_loop, ticks
+    )
+
+
+def write_torques_after_goals(
+    model: HandModel,
+    layout: BlockLayout,
+    constants: HandConstants,
+    block: BlockArray,
+    unsolved_digits: int,
+    relax_rate: float = 0.0,
+    open_loop: int = 0,
+    ticks: int = 1,
+) -> None:
+    """Write the required tensions of unsolved digits, and the motor torques of all digits.
+
+    Args:
+        model: model of the hand.
+        layout: layout of the state block.
+        constants: constants of the hand.
+        block: state block after the evaluation of the goals, modified in place.
+        unsolved_digits: see ``allocate_bounded_tensions``.
+        relax_rate: see ``tick_stages.compute_motor_torques``.
+        open_loop: see ``tick_stages.compute_motor_torques``.
+        ticks: see ``tick_stages.compute_motor_torques``.
+    """
+    kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
     if unsolved_digits:
         trajectory = tick_stages.joint_motion(*kernel_args)
         allocate_bounded_tensions(model, layout, constants, block, unsolved_digits, trajectory)
-    tick_stages.compute_motor_torques(*kernel_args, *torque_args)
+    tick_stages.compute_motor_torques(*kernel_args, relax_rate, open_loop, ticks)
 
 
 def _evaluate_goals_of_experiment(

@@ -5,7 +5,7 @@ tables of signals. A drive is steady while it is enabled and its state machine (
 has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
 caller passes the frame to the state machine, and calls ``receive_frames`` again for the remaining
 frames. ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is
-not steady. The module ``wire_tables`` builds the tables of signals for a hand.
+not steady. The module ``wire_table_building`` builds the tables of signals for a hand.
 """
 
 import math
@@ -41,6 +41,9 @@ from handctl.core.wire.wire_tables import (
     STATE_MACHINE_FRAMES,
     FloatArray,
     IntArray,
+    WireTables,
+    WordBlock,
+    wire_tables,
 )
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
@@ -104,21 +107,15 @@ def find_key(keys: IntArray, key: Any) -> int:
 
 
 @kernel(
-    "block", "layout", "constants", "layout",
-    "keys", "table_int", "table_int", "table", "table_int", "words",
-    "words", "count", "count",
+    "block", "layout", "constants", "layout", "frame_tables", "layout", "words", "count", "count"
 )  # fmt: skip
 def receive_frames(
     block: BlockArray,
     at: TableOffsets,
     constants: BlockArray,
     constant_offsets: TableOffsets,
-    keys: IntArray,
-    entries: IntArray,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-    recheck_ranges: IntArray,
-    rechecks: WordRows,
+    table_words: WordBlock,
+    table_offsets: TableOffsets,
     frame_rows: WordRows,
     first_frame: int,
     min_receive_ns: int,
@@ -130,12 +127,8 @@ def receive_frames(
         at: ``BlockLayout.offsets`` of the state block.
         constants: constants of the hand.
         constant_offsets: ``BlockLayout.offsets`` of the constants.
-        keys: see ``WireTables``.
-        entries: see ``WireTables``.
-        signal_integers: see ``WireTables``.
-        signal_scalings: see ``WireTables``.
-        recheck_ranges: see ``WireTables``.
-        rechecks: see ``WireTables``.
+        table_words: ``WireBlock.words`` of the hand.
+        table_offsets: ``WireBlock.offsets`` of the hand.
         frame_rows: (n, WORDS_PER_RECORD) records of frames.
         first_frame: index of the first frame.
         min_receive_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The
@@ -146,34 +139,26 @@ def receive_frames(
         to send, or n if no frame is of these two kinds.
     """
     return decode_frames(
-        state_tables(block, at), constant_tables(constants, constant_offsets),
-        keys, entries, signal_integers, signal_scalings, recheck_ranges, rechecks,
-        frame_rows, first_frame, min_receive_ns,
-    )  # fmt: skip
+        state_tables(block, at),
+        constant_tables(constants, constant_offsets),
+        wire_tables(table_words, table_offsets),
+        frame_rows,
+        first_frame,
+        min_receive_ns,
+    )
 
 
 @kernel_helper
 def decode_frames(
     x: StateTables,
     c: ConstantTables,
-    keys: IntArray,
-    entries: IntArray,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-    recheck_ranges: IntArray,
-    rechecks: WordRows,
+    w: WireTables,
     frame_rows: WordRows,
     first_frame: int,
     min_receive_ns: int,
 ) -> int:
     """Decode received frames, see ``receive_frames``."""
     frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
-    keys = borrowed_array(keys, 0, keys.shape)
-    entries = borrowed_array(entries, 0, entries.shape)
-    signal_integers = borrowed_array(signal_integers, 0, signal_integers.shape)
-    signal_scalings = borrowed_array(signal_scalings, 0, signal_scalings.shape)
-    recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
-    rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first_frame, len(frame_rows)):
         # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_SHIFT) and the payload length (from LENGTH_SHIFT).
@@ -181,46 +166,35 @@ def decode_frames(
         can_id = header_word & ID_MASK & ~ERROR_FLAG
         bus = header_word >> BUS_SHIFT & BYTE_MASK
         length = header_word >> LENGTH_SHIFT & BYTE_MASK
-        entry = find_key(keys, bus << 32 | can_id)
+        entry = find_key(w.keys, bus << 32 | can_id)
         is_error_frame = header_word & ERROR_FLAG != 0
         if entry == NO_FRAME_ENTRY or (
-            is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
+            is_error_frame and w.entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
         ):
-            _count_unknown_frame(x, keys, entries, bus, can_id)
+            _count_unknown_frame(x, w, bus, can_id)
             continue
         if is_error_frame:
             continue  # an error frame has no values, even if its identifier belongs to a node
-        kind = entries[entry, FRAME_KIND_COLUMN]
+        kind = w.entries[entry, FRAME_KIND_COLUMN]
         t_ns = np.int64(frame_rows[r, TIME_WORD])
         payload = frame_rows[r, FIRST_PAYLOAD_WORD]
-        has_expected_length = length == entries[entry, PAYLOAD_BYTES_COLUMN]
-        owner = entries[entry, OWNER_COLUMN]
+        has_expected_length = length == w.entries[entry, PAYLOAD_BYTES_COLUMN]
+        owner = w.entries[entry, OWNER_COLUMN]
         if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
-            reply = _compare_recheck(x, owner, payload, length, entry, recheck_ranges, rechecks)
+            reply = _compare_recheck(x, w, owner, payload, length, entry)
             if reply == RIGHT_REPLY:
                 continue
             if reply == WRONG_REPLY:
                 return r
         if kind == SENSOR_FRAMES and has_expected_length and t_ns < min_receive_ns:
-            _count_stale_frame(x, entries[entry, GROUP_COLUMN])
+            _count_stale_frame(x, w.entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
-            _decode_sensor_frame(
-                x,
-                t_ns,
-                payload,
-                has_expected_length,
-                entries,
-                entry,
-                signal_integers,
-                signal_scalings,
-            )
+            _decode_sensor_frame(x, w, t_ns, payload, has_expected_length, entry)
         elif (
             kind == STATE_MACHINE_FRAMES
             or kind == HOST_FRAMES
             or not has_expected_length
-            or not _decode_drive_frame(
-                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_scalings
-            )
+            or not _decode_drive_frame(x, c, w, t_ns, frame_rows[r], entry)
         ):
             return r
     return len(frame_rows)
@@ -238,13 +212,7 @@ def _is_steady(x: StateTables, n: Any) -> bool:
 
 @kernel_helper
 def _compare_recheck(
-    x: StateTables,
-    n: Any,
-    payload: Any,
-    length: Any,
-    entry: Any,
-    ranges: IntArray,
-    rechecks: WordRows,
+    x: StateTables, w: WireTables, n: Any, payload: Any, length: Any, entry: Any
 ) -> int:
     """Compare a frame with the expected reply to the unanswered read-back request of an enabled drive.
 
@@ -252,21 +220,20 @@ def _compare_recheck(
 
     Args:
         x: state tables.
+        w: wire tables of the hand.
         n: index of the drive.
         payload: first eight bytes of the frame's payload.
         length: length of the payload [bytes].
         entry: row of the frame's identifier in ``WireTables.entries``.
-        ranges: ``WireTables.recheck_ranges``.
-        rechecks: see ``WireTables``.
 
     Returns:
         ``RIGHT_REPLY``, ``WRONG_REPLY`` if the value or the length differs, or ``OTHER_FRAME``.
     """
-    first_row = ranges[n, 0]
-    count = ranges[n, 1] - first_row
+    first_row = w.recheck_ranges[n, 0]
+    count = w.recheck_ranges[n, 1] - first_row
     if count == 0 or not _is_steady(x, n):
         return OTHER_FRAME
-    recheck_row = rechecks[first_row + x.tendon_int[s.RECHECK_STEP, n]]
+    recheck_row = w.rechecks[first_row + x.tendon_int[s.RECHECK_STEP, n]]
     difference = payload ^ recheck_row[REPLY_WORD]
     if (
         np.int64(recheck_row[REPLY_ENTRY_WORD]) != entry
@@ -284,9 +251,12 @@ def _compare_recheck(
 
 
 @kernel_helper
-def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bool:
+def _is_recheck_due(x: StateTables, w: WireTables, n: Any, now_ns: Any) -> bool:
     """Return True if the next read-back request to an enabled drive is due in the present tick."""
-    is_due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
+    is_due: bool = (
+        w.recheck_ranges[n, 0] < w.recheck_ranges[n, 1]
+        and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
+    )
     return is_due
 
 
@@ -316,19 +286,16 @@ def _copy_record(record: Any, frame_row: Any) -> None:
 
 
 @kernel_helper
-def _request_recheck(
-    x: StateTables, n: Any, frame_row: Any, ranges: IntArray, rechecks: WordRows
-) -> None:
+def _request_recheck(x: StateTables, w: WireTables, n: Any, frame_row: Any) -> None:
     """Write the next read-back request to an enabled drive into the record of a frame."""
-    _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], frame_row)
+    step = x.tendon_int[s.RECHECK_STEP, n]
+    _copy_record(w.rechecks[w.recheck_ranges[n, 0] + step], frame_row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
 
 
 @kernel_helper
-def _count_unknown_frame(
-    x: StateTables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any
-) -> None:
+def _count_unknown_frame(x: StateTables, w: WireTables, bus: Any, can_id: Any) -> None:
     """Count a frame whose identifier is unknown.
 
     A remote frame or 29-bit frame with the identifier of a node counts as a malformed frame of the
@@ -337,9 +304,9 @@ def _count_unknown_frame(
     """
     x.run_int[s.UNKNOWN_FRAME_COUNT] += 1
     if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_ID_COUNT:
-        entry = find_key(keys, bus << 32 | can_id & CAN_ID_MASK)
-        if entry != NO_FRAME_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
-            owner = entries[entry, OWNER_COLUMN]
+        entry = find_key(w.keys, bus << 32 | can_id & CAN_ID_MASK)
+        if entry != NO_FRAME_ENTRY and w.entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
+            owner = w.entries[entry, OWNER_COLUMN]
             x.node_int[
                 s.HAS_MALFORMED_FRAME,
                 owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1,
@@ -358,14 +325,7 @@ def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
 
 @kernel_helper
 def _decode_sensor_frame(
-    x: StateTables,
-    t_ns: Any,
-    payload: Any,
-    has_valid_length: bool,
-    entries: IntArray,
-    entry: int,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
+    x: StateTables, w: WireTables, t_ns: Any, payload: Any, has_valid_length: bool, entry: int
 ) -> None:
     """Decode a frame of load cells or joint encoders.
 
@@ -373,23 +333,21 @@ def _decode_sensor_frame(
 
     Args:
         x: state tables.
+        w: wire tables of the hand.
         t_ns: reception time [ns].
         payload: first eight bytes of the frame's payload.
         has_valid_length: True if the payload has the expected length.
-        entries: see ``WireTables``.
-        entry: row of the frame in ``entries``.
-        signal_integers: see ``WireTables``.
-        signal_scalings: see ``WireTables``.
+        entry: row of the frame in ``WireTables.entries``.
     """
     if not has_valid_length:
         x.node_int[s.HAS_MALFORMED_FRAME, x.node_int.shape[1] - 1] = 1
         return
-    group = entries[entry, GROUP_COLUMN]
+    group = w.entries[entry, GROUP_COLUMN]
     tensions = 0
-    for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        value = decode_signal(payload, signal_integers, signal_scalings, i)
-        quantity = signal_integers[i, QUANTITY_COLUMN]
-        channel = signal_integers[i, CHANNEL_COLUMN]
+    for i in range(w.entries[entry, FIRST_SIGNAL_COLUMN], w.entries[entry, END_SIGNAL_COLUMN]):
+        value = decode_signal(payload, w.signal_integers, w.signal_scalings, i)
+        quantity = w.signal_integers[i, QUANTITY_COLUMN]
+        channel = w.signal_integers[i, CHANNEL_COLUMN]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
             _count_stale_frame(x, group)
             return
@@ -423,14 +381,7 @@ def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position
 
 @kernel_helper
 def _decode_drive_frame(
-    x: StateTables,
-    c: ConstantTables,
-    t_ns: Any,
-    frame_row: Any,
-    entries: IntArray,
-    entry: int,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
+    x: StateTables, c: ConstantTables, w: WireTables, t_ns: Any, frame_row: Any, entry: int
 ) -> bool:
     """Decode a frame of a drive.
 
@@ -439,14 +390,12 @@ def _decode_drive_frame(
     Args:
         x: state tables.
         c: constants of the hand.
+        w: wire tables of the hand.
         t_ns: reception time [ns].
         frame_row: (WORDS_PER_RECORD,) record of the frame.
-        entries: see ``WireTables``.
-        entry: row of the frame in ``entries``.
-        signal_integers: see ``WireTables``.
-        signal_scalings: see ``WireTables``.
+        entry: row of the frame in ``WireTables.entries``.
     """
-    n = entries[entry, OWNER_COLUMN]
+    n = w.entries[entry, OWNER_COLUMN]
     if not _is_steady(x, n):
         return False
     expected = x.tendon_int[s.EXPECTED_DRIVE_STATUS, n]
@@ -454,20 +403,20 @@ def _decode_drive_frame(
     status = 0
     payload = frame_row[FIRST_PAYLOAD_WORD]
     reversed_payload = bytes_reversed(payload)
-    for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        if signal_integers[i, WINDOW_COLUMN] == 0:
-            window = reversed_payload if signal_integers[i, ORDER_COLUMN] else payload
+    for i in range(w.entries[entry, FIRST_SIGNAL_COLUMN], w.entries[entry, END_SIGNAL_COLUMN]):
+        if w.signal_integers[i, WINDOW_COLUMN] == 0:
+            window = reversed_payload if w.signal_integers[i, ORDER_COLUMN] else payload
         else:
-            window = read_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
-            window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
-        value = decode_signal(window, signal_integers, signal_scalings, i)
+            window = read_window(frame_row, FIRST_PAYLOAD_WORD, w.signal_integers[i, WINDOW_COLUMN])
+            window = bytes_reversed(window) if w.signal_integers[i, ORDER_COLUMN] else window
+        value = decode_signal(window, w.signal_integers, w.signal_scalings, i)
         if math.isnan(value):
             return False
-        quantity = signal_integers[i, QUANTITY_COLUMN]
+        quantity = w.signal_integers[i, QUANTITY_COLUMN]
         if quantity == STATUS:
             # Several status fields of a frame form one number, with the first field in the highest
             # bits.
-            status = status << signal_integers[i, LENGTH_BITS] | np.int64(value)
+            status = status << w.signal_integers[i, LENGTH_BITS] | np.int64(value)
         elif quantity == POSITION:
             position = value
         elif quantity == VELOCITY:
@@ -476,11 +425,11 @@ def _decode_drive_frame(
             torque = value
         elif quantity == TEMPERATURE:
             temperature = value if math.isnan(temperature) else max(temperature, value)
-    feedback = entries[entry, FRAME_KIND_COLUMN] == FEEDBACK_FRAMES
+    feedback = w.entries[entry, FRAME_KIND_COLUMN] == FEEDBACK_FRAMES
     if feedback and status != expected:
         return False
     if (
-        entries[entry, NEAREST_ONLY_COLUMN]
+        w.entries[entry, NEAREST_ONLY_COLUMN]
         and x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0
         and not _is_nearer_to_prediction(x, c, n, position)
     ):
@@ -510,14 +459,14 @@ def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) ->
 
 @kernel_helper
 def _can_be_encoded(
-    x: StateTables, n: int, signal_scalings: FloatArray, first_signal: int, signals_end: int
+    x: StateTables, w: WireTables, n: int, first_signal: int, signals_end: int
 ) -> bool:
     """Return True if each number of a position command is within the range of its signal."""
     for i in range(first_signal, signals_end):
         if (
-            not signal_scalings[i, 2]
+            not w.servo_signal_scalings[i, 2]
             <= x.servo[s.SERVO_POSITION + i - first_signal, n]
-            <= signal_scalings[i, 3]
+            <= w.servo_signal_scalings[i, 3]
         ):
             return False
     return True
@@ -525,66 +474,45 @@ def _can_be_encoded(
 
 @kernel_helper
 def _write_position_command(
-    x: StateTables,
-    n: int,
-    frame_row: Any,
-    template: Any,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-    first_signal: int,
-    signals_end: int,
+    x: StateTables, w: WireTables, n: int, frame_row: Any, first_signal: int, signals_end: int
 ) -> None:
     """Write position, velocity, kp, kd, torque and torque limit into the record of a command."""
-    _copy_record(template, frame_row)
+    _copy_record(w.servo_templates[n], frame_row)
     for i in range(first_signal, signals_end):
-        bits = encode_signal(
-            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_scalings, i
-        )
-        bits = bytes_reversed(bits) if signal_integers[i, ORDER_COLUMN] else bits
-        write_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
+        number = x.servo[s.SERVO_POSITION + i - first_signal, n]
+        bits = encode_signal(number, w.servo_signal_integers, w.servo_signal_scalings, i)
+        bits = bytes_reversed(bits) if w.servo_signal_integers[i, ORDER_COLUMN] else bits
+        write_window(frame_row, FIRST_PAYLOAD_WORD, w.servo_signal_integers[i, WINDOW_COLUMN], bits)
 
 
 @kernel_helper
-def _write_torque_command(
-    frame_row: Any,
-    template: Any,
-    torque: float,
-    signal: Any,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-) -> None:
-    """Write a torque command into the record of a frame.
+def _write_torque_command(w: WireTables, command: int, torque: float, frame_row: Any) -> None:
+    """Write a torque command into the record of a frame. A command can also have no torque.
 
-    For a command without a torque, ``signal`` is -1.
+    Args:
+        w: wire tables of the hand.
+        command: row of the command in ``WireTables.commands``.
+        torque: commanded torque [N m].
+        frame_row: (WORDS_PER_RECORD,) result: record of the frame.
     """
-    _copy_record(template, frame_row)
+    _copy_record(w.templates[command], frame_row)
+    signal = w.commands[command, 1]
     if signal >= 0:
-        bits = encode_signal(torque, signal_integers, signal_scalings, signal)
-        ordered_bits = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
-        write_window(
-            frame_row, FIRST_PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits
-        )
+        integers = w.command_signal_integers
+        bits = encode_signal(torque, integers, w.command_signal_scalings, signal)
+        ordered_bits = bytes_reversed(bits) if integers[signal, ORDER_COLUMN] else bits
+        write_window(frame_row, FIRST_PAYLOAD_WORD, integers[signal, WINDOW_COLUMN], ordered_bits)
 
 
 @kernel(
-    "block", "layout", "matrix_int", "matrix_int", "matrix", "words",
-    "matrix_int", "words", "matrix_int", "matrix", "matrix_int", "words",
-    "words", "vector", "count", "count",
+    "block", "layout", "frame_tables", "layout", "words", "vector", "count", "count"
 )  # fmt: skip
 def encode_commands(
     block: BlockArray,
     at: TableOffsets,
-    commands: IntArray,
-    signal_integers: IntArray,
-    signal_scalings: FloatArray,
-    templates: WordRows,
-    servos: IntArray,
-    servo_templates: WordRows,
-    servo_signal_integers: IntArray,
-    servo_signal_scalings: FloatArray,
-    recheck_ranges: IntArray,
-    rechecks: WordRows,
-    frame_words: WordRows,
+    table_words: WordBlock,
+    table_offsets: TableOffsets,
+    frame_rows: WordRows,
     torque: FloatArray,
     first_drive: int,
     count: int,
@@ -594,20 +522,12 @@ def encode_commands(
     Args:
         block: state block.
         at: ``BlockLayout.offsets`` of the state block.
-        commands: (frames, 3) see ``WireTables``.
-        signal_integers: ``WireTables.command_signal_integers``.
-        signal_scalings: ``WireTables.command_signal_scalings``.
-        templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
-        servos: (N, 2) see ``WireTables``.
-        servo_templates: (N, WORDS) see ``WireTables``.
-        servo_signal_integers: see ``WireTables``.
-        servo_signal_scalings: see ``WireTables``.
-        recheck_ranges: see ``WireTables``.
-        rechecks: see ``WireTables``.
-        frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
+        table_words: ``WireBlock.words`` of the hand.
+        table_offsets: ``WireBlock.offsets`` of the hand.
+        frame_rows: (frames, WORDS_PER_RECORD) result: records of the commands.
         torque: (N,) commanded torque of each drive [N m].
         first_drive: index of the first drive whose command is encoded.
-        count: number of records that ``frame_words`` already contains.
+        count: number of records that ``frame_rows`` already contains.
 
     Returns:
         Index of the first drive that is not steady (N if all drives are steady), and the number of
@@ -616,48 +536,49 @@ def encode_commands(
         torque limit is exceeded.
     """
     x = state_tables(block, at)
+    w = wire_tables(table_words, table_offsets)
+    return write_commands(x, w, frame_rows, torque, first_drive, count)
+
+
+@kernel_helper
+def write_commands(
+    x: StateTables,
+    w: WireTables,
+    frame_rows: WordRows,
+    torque: FloatArray,
+    first_drive: int,
+    count: int,
+) -> tuple[int, int]:
+    """Encode the commands of steady drives, see ``encode_commands``."""
+    frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     now_ns = x.run_int[s.TICK_TIME_NS]
-    for i in range(len(commands)):
-        n = commands[i, 0]
+    for i in range(len(w.commands)):
+        n = w.commands[i, 0]
         if n < first_drive:
             continue
         feedback_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
-        timeout_ns = commands[i, 2]
+        timeout_ns = w.commands[i, 2]
         is_feedback_overdue = timeout_ns > 0 and feedback_ns < now_ns - timeout_ns
         if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DRIVE_DUE_NS, n] or is_feedback_overdue:
             return n, count
-        is_recheck_due = _is_recheck_due(x, n, now_ns, recheck_ranges)
+        is_recheck_due = _is_recheck_due(x, w, n, now_ns)
         if is_recheck_due and not _is_recheck_regular(x, n, now_ns):
             return n, count
-        signal = commands[i, 1]
-        if signal >= 0 and not abs(torque[n]) <= signal_scalings[signal, 2]:
+        signal = w.commands[i, 1]
+        if signal >= 0 and not abs(torque[n]) <= w.command_signal_scalings[signal, 2]:
             return n, count
-        first_servo_row = servos[n, 0]
-        end = servos[n, 1]
+        first_servo_row = w.servos[n, 0]
+        end = w.servos[n, 1]
         use_position_command = first_servo_row < end and x.servo[s.SERVO_KP, n] > 0.0
-        if use_position_command and not _can_be_encoded(
-            x, n, servo_signal_scalings, first_servo_row, end
-        ):
+        if use_position_command and not _can_be_encoded(x, w, n, first_servo_row, end):
             command_torque_only(x, n)
             use_position_command = False
-        row = frame_words[count]
         if use_position_command:
-            _write_position_command(
-                x,
-                n,
-                row,
-                servo_templates[n],
-                servo_signal_integers,
-                servo_signal_scalings,
-                first_servo_row,
-                end,
-            )
+            _write_position_command(x, w, n, frame_rows[count], first_servo_row, end)
         else:
-            _write_torque_command(
-                row, templates[i], torque[n], signal, signal_integers, signal_scalings
-            )
+            _write_torque_command(w, i, torque[n], frame_rows[count])
         count += 1
         if is_recheck_due and signal >= 0:
-            _request_recheck(x, n, frame_words[count], recheck_ranges, rechecks)
+            _request_recheck(x, w, n, frame_rows[count])
             count += 1
     return len(torque), count
