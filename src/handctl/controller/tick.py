@@ -65,7 +65,7 @@ from handctl.core.tick_types import (
 )
 from handctl.core.wire import cyclic_frames
 from handctl.core.wire.wire_table_building import build_wire_tables
-from handctl.core.wire.wire_tables import WireBlock
+from handctl.core.wire.wire_tables import WireBlock, WordBlock
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame, make_tuple
@@ -109,6 +109,8 @@ _MODES_WITHOUT_COMMANDS = (SILENT, DONE)
 """Modes in which the drives receive no commands."""
 _MODES_WITH_GOALS = (ACTIVE, RELAX)
 """Modes in which the goals of the digits determine the motor torques."""
+FrameKernelArguments = tuple[TableOffsets, Vector, TableOffsets, WordBlock, TableOffsets]
+"""Arguments of a compiled function for frames, see ``DerivedConstants.frame_kernel_args``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,8 @@ class DerivedConstants:
         prediction: prediction of the filter states.
         torque_elements: elements of the commanded torques in the state block.
         wire: signal tables of the drives' cyclic frames.
+        frame_kernel_args: arguments of a compiled function for frames, after the state block:
+            ``kernel_args``, then ``wire.kernel_args``.
         telemetry_places: places of the telemetry in the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
@@ -142,6 +146,7 @@ class DerivedConstants:
     prediction: FilterPrediction
     torque_elements: slice
     wire: WireBlock
+    frame_kernel_args: FrameKernelArguments
     telemetry_places: TelemetryPlaces
     drive_index_by_id: dict[tuple[int, int], int]
     amplifier_index_by_id: dict[tuple[int, int], int]
@@ -153,11 +158,13 @@ class DerivedConstants:
         self, model: HandModel, limits: SafetyLimits, constants: HandConstants
     ) -> "DerivedConstants":
         """Return a copy for new gains: a model, thresholds and constants that replace the present ones."""
+        kernel_args = (self.layout.offsets, constants.block, constants.layout.offsets)
         return replace(
             self,
             limits=limits,
             constants=constants,
-            kernel_args=(self.layout.offsets, constants.block, constants.layout.offsets),
+            kernel_args=kernel_args,
+            frame_kernel_args=(*kernel_args, *self.wire.kernel_args),
             prediction=FilterPrediction(model, self.layout),
         )
 
@@ -182,14 +189,16 @@ class DerivedConstants:
         first_torque = layout.starts["tendon"] + s.COMMANDED_TORQUE * layout.axes["tendon"]
         frame_template = np.zeros((wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         frame_template[0] = frames_as_records([sensors.sync(0)]).rows[0]
+        kernel_args = (layout.offsets, constants.block, constants.layout.offsets)
         return DerivedConstants(
             limits=limits,
             layout=layout,
             constants=constants,
-            kernel_args=(layout.offsets, constants.block, constants.layout.offsets),
+            kernel_args=kernel_args,
             prediction=FilterPrediction(model, layout),
             torque_elements=slice(first_torque, first_torque + len(drives)),
             wire=wire,
+            frame_kernel_args=(*kernel_args, *wire.kernel_args),
             telemetry_places=TelemetryPlaces(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
@@ -367,8 +376,9 @@ class Controller:
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        if state.progress is not last_state.progress:
-            self._write_progress(state, last_state.progress)
+        last_progress = last_state.decisions.progress
+        if state.decisions.progress is not last_progress:
+            self._write_progress(state, last_progress)
         if findings:
             events += tuple(map(_fault_event, findings))
         tick_in_progress.action = action
@@ -444,17 +454,18 @@ class Controller:
         block = state.block
         derived_constants = self.derived_constants
         kernel_args = derived_constants.kernel_args
-        wire = derived_constants.wire
+        frame_kernel_args = derived_constants.frame_kernel_args
         if state.decisions.amplifiers:
-            wire = wire.without_groups(self._groups_not_ready(state.decisions.amplifiers))
+            groups_not_ready = self._groups_not_ready(state.decisions.amplifiers)
+            wire = derived_constants.wire.without_groups(groups_not_ready)
+            frame_kernel_args = (*kernel_args, *wire.kernel_args)
         missed_ticks = tick_input.k - last_state.k - 1
         min_receive_ns = self.sensors.earliest_answer_time_ns(
             last_state.run_integers[s.TICK_TIME_NS]
         )
         next_row = tick_stages.receive_and_correct(
             block,
-            *kernel_args,
-            *wire.kernel_args,
+            *frame_kernel_args,
             frames.rows,
             tick_input.k,
             tick_input.t_ns,
@@ -465,7 +476,7 @@ class Controller:
         second_controller_signs: tuple[str, ...] = ()
         if next_row < len(frames.rows):
             second_controller_signs = self._receive_remaining_frames(
-                state, wire, frames, next_row, min_receive_ns
+                state, frame_kernel_args, frames, next_row, min_receive_ns
             )
             tick_stages.observe_tick(block, *kernel_args)
             tick_stages.correct_tension_estimate(block, *kernel_args)
@@ -480,7 +491,7 @@ class Controller:
     def _receive_remaining_frames(
         self,
         state: ControllerState,
-        wire: WireBlock,
+        frame_kernel_args: FrameKernelArguments,
         frames: Frames,
         next_row: int,
         min_receive_ns: int,
@@ -489,7 +500,7 @@ class Controller:
 
         Args:
             state: state of the tick, modified in place.
-            wire: tables that decode the frames.
+            frame_kernel_args: see ``DerivedConstants``, with the tables that decode the frames.
             frames: received frames.
             next_row: index of the first frame that a state machine must handle.
             min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
@@ -498,7 +509,6 @@ class Controller:
         identifier occurs once.
         """
         derived_constants = self.derived_constants
-        kernel_args = (*derived_constants.kernel_args, *wire.kernel_args, frames.rows)
         second_controller_signs: list[str] = []
         while next_row < len(frames):
             # Compiled code has already counted the error frames, so the frame at the index is no
@@ -514,7 +524,7 @@ class Controller:
             else:
                 second_controller_signs.append(f"{frame.can_id:#05x}")
             next_row = cyclic_frames.receive_frames(
-                state.block, *kernel_args, next_row + 1, min_receive_ns
+                state.block, *frame_kernel_args, frames.rows, next_row + 1, min_receive_ns
             )
         return tuple(dict.fromkeys(second_controller_signs))
 
@@ -610,8 +620,9 @@ class Controller:
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
+        decisions = state.decisions
         # Before a load cell has been tared, it can read any value.
-        state.run_integers[s.ARE_CELLS_TARED] = state.progress.phase != TARE_PHASE
+        state.run_integers[s.ARE_CELLS_TARED] = decisions.progress.phase != TARE_PHASE
         derived_constants = self.derived_constants
         evidence = derived_constants.fault_evidence
         demanded_action = tick_stages.find_faults(
@@ -622,7 +633,6 @@ class Controller:
             if state.run_integers[s.NEW_FAULT_COUNT]
             else []
         )
-        decisions = state.decisions
         if not (
             new_findings
             or tick_input.io_events
@@ -668,10 +678,11 @@ class Controller:
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
-        t = state.goal_time + self.model.period
-        present_progress = state.progress
+        model = self.model
+        t = state.goal_time + model.period
+        present_progress = state.decisions.progress
         progress, events = self.program.advance(
-            self.model, present_progress, state.estimate, state.measurements, t
+            model, present_progress, state.estimate, state.measurements, t
         )
         if progress is not present_progress:
             state.decide(progress=progress)
@@ -735,8 +746,7 @@ class Controller:
         sample_trajectories(self.model, layout, state.block, state.progress.goals, state.goal_time)
         unsolved_digits, next_drive, count = tick_stages.command_active_hand(
             state.block,
-            *derived_constants.kernel_args,
-            *derived_constants.wire.kernel_args,
+            *derived_constants.frame_kernel_args,
             frame_rows,
             action,
             ticks,

@@ -10,11 +10,15 @@ from handctl.core.estimation.filter_types import INPUT_COUNT, STATE_COUNT
 from handctl.core.hand_model import HandModel
 
 with deferred_imports():
-    from filterpy.kalman import predict_steadystate
+    from filterpy.kalman import KalmanFilter
 
 
 class FilterPrediction:
-    """Prediction of the states of the tension filter for all tendons of a hand."""
+    """Prediction of the states of the tension filter for all tendons of a hand.
+
+    The filter of filterpy contains the states of all tendons only during a prediction. Between two
+    predictions, the states are in the state block.
+    """
 
     def __init__(self, model: HandModel, layout: BlockLayout) -> None:
         """Compute the positions of the filter states and of the filter inputs in the state block.
@@ -32,6 +36,11 @@ class FilterPrediction:
         self._inputs = slice(first_input, first_input + INPUT_COUNT * n)
         self._kinds = slice(first_kind, first_kind + n)
         self._transition = model.filter_design.transition
+        self._filter = KalmanFilter(dim_x=1, dim_z=1)
+        # The gains of the filter are constant, so it needs no covariance. ``predict`` sets x, F and
+        # B, which have the size of the hand.
+        self._filter.P = np.empty((0, 0))
+        self._kinds_of_filter = b""
         self._max_missed_ticks = round(MAX_TORQUE_HOLD_TIME_S / model.period)
 
     def predict(self, block: BlockArray, missed_ticks: int = 0) -> None:
@@ -44,12 +53,17 @@ class FilterPrediction:
             block: state block, modified in place.
             missed_ticks: ticks missed before the present tick.
         """
-        F, B = self._transition(block[self._kinds].tobytes())
+        tension_filter = self._filter
+        kinds = block[self._kinds].tobytes()
+        if kinds != self._kinds_of_filter:
+            tension_filter.F, tension_filter.B = self._transition(kinds)
+            self._kinds_of_filter = kinds
         inputs = block[self._inputs]
-        x = predict_steadystate(block[self._states], F, inputs, B)
+        tension_filter.x = block[self._states]
+        tension_filter.predict_steadystate(inputs)
         if missed_ticks:
             n = self._tendon_count
             constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))
             for _ in range(min(missed_ticks, self._max_missed_ticks)):
-                x = predict_steadystate(x, F, constant_inputs, B)
-        block[self._states] = x
+                tension_filter.predict_steadystate(constant_inputs)
+        block[self._states] = tension_filter.x
