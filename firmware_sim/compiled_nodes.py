@@ -11,7 +11,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import FRAME_DTYPE, frames_to_records, records_to_frames
-from firmware_sim.compiled import array_addresses, compile_module_kernels
+from firmware_sim.compiled import array_addresses, code_of_kernel, compile_module_kernels
 from firmware_sim.nodes import cyclic_kernels
 from firmware_sim.nodes.cia402.kernels import Cia402Struct
 from firmware_sim.nodes.cyclic_kernels import (
@@ -49,8 +49,11 @@ class CompiledNodes:
             rows: arrays with the states of nodes in their rows, by the type of the row.
         """
         self._world, self._kernels = simulated_world, compile_module_kernels(cyclic_kernels)
+        self._answer_kernel = code_of_kernel(self._kernels.answer)
         self._capacity = INITIAL_CAPACITY
-        self._progress = np.zeros(5, np.int64)
+        self._progress_array = np.zeros(5, np.int64)
+        # An element of a memoryview is read in half the time of an element of an array.
+        self._progress = self._progress_array.data
         sensor_node = simulated_world.sensor_node if SensorStruct in rows else None
         self._noise = sensor_node.noise if sensor_node else None
         self._max_answers = 1
@@ -97,9 +100,9 @@ class CompiledNodes:
         world = self._world
         progress = self._progress
         answer_frames = np.empty(self._capacity, FRAME_DTYPE)
-        if not frames.flags.writeable:
+        if not (frames.flags.writeable and frames.flags.c_contiguous):
             frames = frames.copy()
-        progress[:SENT] = 0
+        progress[NEXT_FRAME] = progress[ANSWERS] = progress[IN_ORDER] = 0
         is_sequential = world.faults.in_frames
         while True:
             if is_sequential:
@@ -108,7 +111,7 @@ class CompiledNodes:
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
             self._run_kernel(frames, answer_frames, t_ns, max_delay_ns)
-            frame_index = int(progress[NEXT_FRAME])
+            frame_index = progress[NEXT_FRAME]
             if frame_index == len(frames):
                 return answer_frames[: progress[ANSWERS]], bool(progress[IN_ORDER])
             if progress[ANSWERS] + self._max_answers > len(answer_frames):
@@ -125,7 +128,7 @@ class CompiledNodes:
             self._build_table()
         if self._noise:
             self._noise.draw(self._draws)
-        self._kernels.answer(
+        self._answer_kernel(
             frames, answer_frames, self._addresses, t_ns, max_delay_ns, self._max_answers
         )
 
@@ -136,7 +139,7 @@ class CompiledNodes:
 
     def _append_frames(self, answer_frames: Any, frames: list[Frame]) -> Any:
         """Return the array of answers, with the given frames appended."""
-        count = int(self._progress[ANSWERS])
+        count = self._progress[ANSWERS]
         frame_count = len(frames)
         while count + frame_count > len(answer_frames):
             answer_frames = self._enlarge_buffer(answer_frames)
@@ -188,7 +191,7 @@ class CompiledNodes:
             [(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], ReceiverStruct
         )
         arrays = (
-            self._progress,
+            self._progress_array,
             table,
             self._receivers,
             *self._drive_structs,
@@ -221,7 +224,7 @@ class CompiledNodes:
 
         The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
-        return int(self._progress[WAKE_NS])
+        return self._progress[WAKE_NS]
 
     def next_wake(self) -> int:
         """Compute the earliest wake time from the present states of the drives in array rows [ns]."""
@@ -248,7 +251,12 @@ class CompiledNodes:
         rotors = self._world.plant.sampled[3]
         return bool(
             self._kernels.send_due_frames(
-                self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress
+                self._drive_rows,
+                *self._drive_structs,
+                rotors,
+                now_ns,
+                self._sent,
+                self._progress_array,
             )
         )
 
@@ -257,7 +265,7 @@ class CompiledNodes:
 
         The array is valid until a drive sends the next frame.
         """
-        count = int(self._progress[SENT])
+        count = self._progress[SENT]
         self._progress[SENT] = 0
         return self._sent[:count]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import array_addresses, compile_module_kernels
+from firmware_sim.compiled import array_addresses, code_of_kernel, compile_module_kernels
 from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits, sink_direction
@@ -112,6 +112,7 @@ class Plant:
             if arrays and native_engine
             else None
         )
+        self._run_compiled_steps = code_of_kernel(self._kernels.steps) if is_compiled else None
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
         self._sink_direction = sink_direction(hand.gravity)
@@ -312,8 +313,8 @@ class Plant:
             self.step_progress_ns = 0
             self.steps += 1
             return
-        if self._addresses is not None:
-            finished_steps = self._kernels.steps(count, self._addresses)
+        if self._run_compiled_steps and self._addresses is not None:
+            finished_steps = self._run_compiled_steps(count, self._addresses)
             self.steps += finished_steps
             if finished_steps == count:
                 return

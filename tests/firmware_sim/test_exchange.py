@@ -311,3 +311,22 @@ def test_a_kernel_is_compiled_again_if_an_imported_module_changes(
     changed.write_text(Path(codec.__file__).read_text() + "\n")
     monkeypatch.setattr(codec, "__file__", str(changed))
     assert compiled._source_digest(modules) != digest_before
+
+
+def test_frames_in_every_second_row_of_an_array_are_read_correctly(tmp_path: Path) -> None:
+    """The host can pass a part of an array whose records are not one after the other."""
+    hands = [LockstepHand(hand_file(tmp_path, ("mit",)), homed=True) for _ in range(2)]
+    nodes = range(FIRST_NODE, FIRST_NODE + 4)
+    for hand in hands:
+        hand.step(0, [Frame(*frame) for node in nodes for frame in enable_frames("mit", node)])
+    commands = frames_to_records(
+        [Frame(*frame) for node in nodes for frame in frames_of_tick("mit", node, 0)]
+    )
+    rows = np.zeros(2 * len(commands), FRAME_DTYPE)
+    rows[::2] = commands
+    answers, answers_to_rows = (
+        hand.exchange(TICK_NS, frames)
+        for hand, frames in zip(hands, (commands, rows[::2]), strict=True)
+    )
+    assert len(answers) == len(commands)
+    assert answers.tobytes() == answers_to_rows.tobytes()
