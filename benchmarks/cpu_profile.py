@@ -16,7 +16,7 @@ CODE_PATTERNS_BY_PART = {
     "host's codec and drive states": ("handctl/drives/",
         "tick.py/_receive_remaining_frames", "tick.py/_add_other_commands", "tick.py/store_drive_state"),
     "estimation": ("core/estimation/", "core/hand_estimate", "filterpy/", "tick.py/_process_frames"),
-    "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_drives"),
+    "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_"),
     "program": ("handctl/programs/",),
     "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge_faults"),
     "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_data"),

@@ -4,6 +4,8 @@ A cache finds the result for an immutable object by the identity of the object.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import compress
+from operator import is_not
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -36,15 +38,15 @@ class SequenceCache(Generic[T]):
             return self._values
         function = self._function
         if len(items) == len(self._items):
-            items_with_cached_values = zip(items, self._items, self._values, strict=True)
-            self._values = [
-                value if item is cached_item else function(item)
-                for item, cached_item, value in items_with_cached_values
-            ]
+            values = self._values.copy()
+            # The loop only executes for the new items, because ``compress`` leaves out the others.
+            for index in compress(range(len(items)), map(is_not, items, self._items)):
+                values[index] = function(items[index])
         else:
-            self._values = [function(item) for item in items]
+            values = [function(item) for item in items]
         self._items = items
-        return self._values
+        self._values = values
+        return values
 
 
 class IdentityCache(Generic[T, R]):

@@ -14,11 +14,12 @@ conclude   states -> tensions, blocked digits, joint angles
 judge      measurements and estimate -> faults
 refer      goals -> required joint torques and tensions
 act        required tensions, goals, estimate -> motor torques
-store      commands -> memory for the next tick, numbers for the log
 send       motor torques -> frames, see ``wire.cyclic_frames``
+store      commands -> memory for the next tick, numbers for the log
 
 In most ticks, no state machine must handle a frame. The kernel ``receive_and_correct`` then executes
-the stages from begin to correct.
+the stages from begin to correct. While the hand is active, the kernel ``command_active_hand`` executes
+the stages refer, act and send.
 """
 
 import math
