@@ -44,10 +44,7 @@ from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import (
-    write_goal_torques,
-    write_torques_after_goals,
-)
+from handctl.core.control_law.required_tensions import evaluate_goals, write_motor_torques
 from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.estimation.consistency_events import consistency_events
@@ -729,10 +726,9 @@ class Controller:
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if mode == RELAX else (0.0, False)
         )
-        write_goal_torques(
-            self.model, layout, derived_constants.constants, state.block,
-            int(action), rate, int(opening_rate), ticks,
-        )  # fmt: skip
+        hand_args = self.model, layout, derived_constants.constants, state.block
+        unsolved_digits = evaluate_goals(*hand_args, int(action))
+        write_motor_torques(*hand_args, unsolved_digits, rate, int(opening_rate), ticks)
 
     def _command_active_hand(
         self, state: ControllerState, frame_rows: WordRows, action: SafetyAction, ticks: int
@@ -753,7 +749,7 @@ class Controller:
         )
         if not unsolved_digits:
             return next_drive, count
-        write_torques_after_goals(
+        write_motor_torques(
             self.model,
             layout,
             derived_constants.constants,

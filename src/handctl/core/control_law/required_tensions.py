@@ -21,17 +21,14 @@ from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 
-def write_goal_torques(
+def evaluate_goals(
     model: HandModel,
     layout: BlockLayout,
     constants: HandConstants,
     block: BlockArray,
     action: int = 0,
-    relax_rate: float = 0.0,
-    open_loop: int = 0,
-    ticks: int = 1,
-) -> None:
-    """Evaluate the goals of all digits, and write the required tensions and the motor torques.
+) -> int:
+    """Evaluate the goals of all digits, see ``tick_stages.evaluate_goals``.
 
     Args:
         model: model of the hand.
@@ -39,22 +36,19 @@ def write_goal_torques(
         constants: constants of the hand.
         block: state block, modified in place.
         action: reaction of the safety monitor, as a value of ``safety.safety_action.SafetyAction``.
-        relax_rate: see ``tick_stages.compute_motor_torques``.
-        open_loop: see ``tick_stages.compute_motor_torques``.
-        ticks: see ``tick_stages.compute_motor_torques``.
+
+    Returns:
+        An integer with one bit for each digit. The bit of a digit is 1 if the bounded least-squares
+        problem of the digit must still be solved.
     """
     if model.inverse_dynamics is required_torque:
-        unsolved_digits = tick_stages.evaluate_goals(
+        return tick_stages.evaluate_goals(
             block, layout.offsets, constants.block, constants.layout.offsets, action
         )
-    else:
-        unsolved_digits = _evaluate_goals_of_experiment(model, layout, constants, block, action)
-    write_torques_after_goals(
-        model, layout, constants, block, unsolved_digits, relax_rate, open_loop, ticks
-    )
+    return _evaluate_goals_of_experiment(model, layout, constants, block, action)
 
 
-def write_torques_after_goals(
+def write_motor_torques(
     model: HandModel,
     layout: BlockLayout,
     constants: HandConstants,
@@ -64,14 +58,14 @@ def write_torques_after_goals(
     open_loop: int = 0,
     ticks: int = 1,
 ) -> None:
-    """Write the required tensions of unsolved digits, and the motor torques of all digits.
+    """Write the required tensions of the unsolved digits, and the motor torques of all digits.
 
     Args:
         model: model of the hand.
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block after the evaluation of the goals, modified in place.
-        unsolved_digits: see ``allocate_bounded_tensions``.
+        unsolved_digits: result of ``evaluate_goals``.
         relax_rate: see ``tick_stages.compute_motor_torques``.
         open_loop: see ``tick_stages.compute_motor_torques``.
         ticks: see ``tick_stages.compute_motor_torques``.

@@ -32,7 +32,7 @@ from handctl.core import tick_stages
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import write_goal_torques
+from handctl.core.control_law.required_tensions import evaluate_goals, write_motor_torques
 from handctl.core.control_law.trajectory import SampledTrajectory
 from handctl.core.estimation.filter_prediction import FilterPrediction
 from handctl.core.estimation.filter_types import TendonRegime
@@ -372,7 +372,8 @@ class _LinearController:
     def run_control_law(self, block: BlockArray) -> None:
         """Compute the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
-        write_goal_torques(self.model, self.layout, self._constants, block)
+        hand_args = self.model, self.layout, self._constants, block
+        write_motor_torques(*hand_args, evaluate_goals(*hand_args))
 
 
 @functools.lru_cache(maxsize=4)
