@@ -67,7 +67,7 @@ class MessageBlock(NamedTuple):
     """
 
     channel: int
-    data: bytes
+    data: bytes | bytearray
     log_times: NDArray[np.uint64]
     offsets: NDArray[np.uint64]
 

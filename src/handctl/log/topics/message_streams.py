@@ -132,7 +132,8 @@ class MessageStream:
         number = len(stamps.log_times)
         # All messages begin as copies of the template. In the structured array of the copies, a
         # single assignment writes one field of all messages.
-        rows = np.frombuffer(bytearray(self._record * number), self._dtype)
+        data = bytearray(self._record) * number
+        rows = np.frombuffer(data, self._dtype)
         measured_ns = stamps.log_times if measured_ns is None else measured_ns
         rows["sequence"] = stamps.sequence
         rows["log"] = stamps.log_times
@@ -143,7 +144,7 @@ class MessageStream:
         for name, array in values.items():
             rows[name] = array
         offsets = np.arange(number, dtype=np.uint64) * np.uint64(len(self._record))
-        return MessageBlock(self._channel, rows.tobytes(), stamps.log_times, offsets)
+        return MessageBlock(self._channel, data, stamps.log_times, offsets)
 
 
 def variable_length_block(

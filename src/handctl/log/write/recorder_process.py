@@ -8,6 +8,7 @@ The recorder ignores SIGINT and SIGTERM, because the controller decides when a r
 controller dies, the system closes the pipe, and the recorder ends.
 """
 
+import ctypes
 import json
 import os
 import select
@@ -54,6 +55,10 @@ RECORDER_NICE_VALUE = -10
 If the system permits it, the recorder has a higher priority than other programs. The control loop
 has real-time priority, which is higher than the priority of the recorder.
 """
+KEPT_MEMORY_BYTES = 64 << 20
+"""Amount of freed memory that the allocator keeps for later allocations [bytes]."""
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Parameters of ``mallopt`` in the C library glibc. Source: glibc, malloc/malloc.h."""
 
 
 def send_note(note: dict[str, object]) -> None:
@@ -172,6 +177,19 @@ class RecorderSession:
             self._facts = {str(name): str(value) for name, value in end["facts"].items()}
 
 
+def keep_freed_memory() -> None:
+    """Let the allocator keep freed memory for later allocations.
+
+    For each chunk, the recorder allocates and frees some megabytes. By default, glibc returns freed
+    blocks of this size to the system, and the system clears each page again before its next use.
+    This took a quarter of the recorder's processor time. Other C libraries stay as they are.
+    """
+    with suppress(AttributeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_THRESHOLD, KEPT_MEMORY_BYTES)
+        mallopt(M_TRIM_THRESHOLD, KEPT_MEMORY_BYTES)
+
+
 def main() -> int:
     """Run the recorder process, and return its exit code.
 
@@ -183,6 +201,7 @@ def main() -> int:
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, RECORDER_NICE_VALUE)
+    keep_freed_memory()
     session = RecorderSession()
     try:
         session.run()
