@@ -55,10 +55,13 @@ RECORDER_NICE_VALUE = -10
 If the system permits it, the recorder has a higher priority than other programs. The control loop
 has real-time priority, which is higher than the priority of the recorder.
 """
-KEPT_MEMORY_BYTES = 64 << 20
-"""Amount of freed memory that the allocator keeps for later allocations [bytes]."""
+KEPT_MEMORY_BYTES = 32 << 20
+"""Amount of freed memory that the allocator keeps for later allocations [bytes].
+
+Some versions of glibc refuse a larger ``M_MMAP_THRESHOLD``.
+"""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Parameters of ``mallopt`` in the C library glibc. Source: glibc, malloc/malloc.h."""
+"""Parameters of ``mallopt`` in the C library glibc. Source: glibc, malloc/malloc.h; mallopt(3)."""
 
 
 def send_note(note: dict[str, object]) -> None:
