@@ -1,6 +1,7 @@
 """The recorder continues when the controller ends, never delays the controller, and reports failed writes."""
 
 import os
+import platform
 import random
 import resource
 import shutil
@@ -489,3 +490,24 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     assert recorder.close("finished")["complete"]
     assert "/numpy/" in memory_maps
     assert not {name for name in ("/llvmlite/", "/scipy/") if name in memory_maps}
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has mallopt")
+def test_the_recorder_uses_freed_memory_again() -> None:
+    """Without ``keep_freed_memory``, the system provides each page of each block again."""
+    program = (
+        "import resource\n"
+        "from handctl.log.write.recorder_process import keep_freed_memory\n"
+        "keep_freed_memory()\n"
+        "def page_faults():\n"
+        "    blocks = [bytearray(b'x') * (2 << 20) for _ in range(8)]\n"
+        "    del blocks\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "first = page_faults()\n"
+        "print([page_faults() for _ in range(20)][-1] - first)\n"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    pages_of_all_blocks = (16 << 20) // resource.getpagesize()
+    assert int(output.stdout) < 2 * pages_of_all_blocks
