@@ -168,8 +168,11 @@ def code_of_kernel(kernel: Any) -> Any:
 
     In each call of a kernel, numba finds the types of the arguments. For arrays of structures, this
     takes almost 1 us. The compiled code only checks the number of the arguments and the size of an
-    array's elements, so the caller must pass contiguous arrays of the registered types.
+    array's elements, so the caller must pass contiguous arrays of the registered types. If numba
+    compiles nothing (``NUMBA_DISABLE_JIT=1``), the kernel is returned as it is.
     """
+    if not hasattr(kernel, "nopython_signatures"):
+        return kernel
     (signature,) = kernel.nopython_signatures
     return kernel.get_overload(signature.args)
 

@@ -95,8 +95,6 @@ if NUMBA_INSTALLED:
         "counts": types.Array(types.int64, 1, "A", readonly=True),
         "matrix_int": types.Array(types.int64, 2, "A", readonly=True),
         "keys": types.Array(types.int64, 1, "C", readonly=True),
-        "table": types.Array(types.float64, 2, "C", readonly=True),
-        "table_int": types.Array(types.int64, 2, "C", readonly=True),
         "table_words": types.Array(types.uint64, 2, "C", readonly=True),
         "bytes": types.Array(types.uint8, 1, "C", readonly=True),
     }
@@ -108,10 +106,10 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     Args:
         arguments: type of each argument. The types real and count are numbers. The types vector,
             matrix, cube, flags and counts are arrays that the kernel reads. The types keys (int64),
-            table (rows of float64), table_int, table_words (rows of uint64) and frame_tables (uint64)
-            are contiguous arrays that the kernel reads and is allowed to borrow. The types block (float64), layout
-            (int64), words (rows of uint64) and results (rows of float64) are contiguous arrays into
-            which the kernel is allowed to write.
+            table_words (rows of uint64) and frame_tables (uint64) are contiguous arrays that the
+            kernel reads and is allowed to borrow. The types block (float64), layout (int64), words
+            (rows of uint64) and results (rows of float64) are contiguous arrays into which the
+            kernel is allowed to write.
     """
 
     def register_kernel(function: F) -> F:

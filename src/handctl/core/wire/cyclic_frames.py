@@ -108,7 +108,7 @@ def find_key(keys: IntArray, key: Any) -> int:
 
 @kernel(
     "block", "layout", "constants", "layout", "frame_tables", "layout", "words", "count", "count"
-)  # fmt: skip
+)
 def receive_frames(
     block: BlockArray,
     at: TableOffsets,
@@ -504,9 +504,7 @@ def _write_torque_command(w: WireTables, command: int, torque: float, frame_row:
         write_window(frame_row, FIRST_PAYLOAD_WORD, integers[signal, WINDOW_COLUMN], ordered_bits)
 
 
-@kernel(
-    "block", "layout", "frame_tables", "layout", "words", "vector", "count", "count"
-)  # fmt: skip
+@kernel("block", "layout", "frame_tables", "layout", "words", "vector", "count", "count")
 def encode_commands(
     block: BlockArray,
     at: TableOffsets,
