@@ -40,6 +40,27 @@ for words in {words!r}:
     assert ended.stdout.split() == sorted(VERB_HELP)
 
 
+def test_a_command_does_not_search_for_plugins_of_pydantic():
+    code = """
+import importlib.metadata, sys
+real_search = importlib.metadata.entry_points
+searched_groups = []
+def recorded_search(**words):
+    searched_groups.append(words.get("group"))
+    return real_search(**words)
+importlib.metadata.entry_points = recorded_search
+from handctl.cli.main import main
+assert main(["config", "check", "--hand", "jamia", "--json"]) == 0
+assert "pydantic" in sys.modules
+assert "pydantic" not in searched_groups
+"""
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYDANTIC_DISABLE_PLUGINS"
+    }
+    command = [sys.executable, "-c", code]
+    subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True, timeout=60)
+
+
 def test_the_protocol_option_lists_all_protocols():
     assert sorted(PROTOCOL_TRAITS) == sorted(protocol_registry.PROTOCOL_ENTRIES)
 
