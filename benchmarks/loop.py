@@ -20,6 +20,8 @@ import numpy as np
 
 LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
+AT_RATE_DURATION_S = {500.0: 30.0, 1000.0: 60.0}
+"""Duration of the measurement with eleven motors at each fixed rate [s], by the rate [Hz]."""
 RATE_REDUCTION_FACTOR = 0.85
 """The search for the highest control rate multiplies a control rate that was too high by ``RATE_REDUCTION_FACTOR``."""
 LOOP_MODULE_BY_NAME = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
@@ -71,10 +73,13 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: measure_in_child_process(
-                        "ours", hand, bus, 2 * duration_s if quick else 30.0, rate
-                    )
-                    for rate in (500.0, 1000.0)
+                    rate: {
+                        loop_kind: measure_in_child_process(
+                            loop_kind, hand, bus, 2 * duration_s if quick else long_s, rate
+                        )
+                        for loop_kind in ("ours", "bare_spin")
+                    }
+                    for rate, long_s in AT_RATE_DURATION_S.items()
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
@@ -187,12 +192,13 @@ def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, 
     clock = RealClock(round(1e9 / rate_hz))
     clock.busy_wait = request_priority().is_realtime
     clock.start()
-    lateness_us = []
+    lateness_ns = []
+    tick_count = int(duration_s * rate_hz)
     k = 1
-    while k < duration_s * rate_hz:
-        lateness_us.append(clock.wait(k))
-        k += 1 + lateness_us[-1] // round(1e9 / rate_hz)
-    return rate_hz, 0.0, lateness_us
+    while k <= tick_count:
+        lateness_ns.append(clock.wait(k))
+        k += 1 + lateness_ns[-1] // round(1e9 / rate_hz)
+    return rate_hz, 1.0 - len(lateness_ns) / tick_count, lateness_ns
 
 
 @contextmanager
@@ -258,14 +264,17 @@ def print_results(result: dict) -> None:
             f"  {label:<24}"
             + "".join(f"{value:8.1f}" for value in loaded_lateness_us[name].values())
         )
-    for rate, row in result["at_rate"].items():
+    for rate, rows in result["at_rate"].items():
+        row, bare = rows["ours"], rows["bare_spin"]
         if "tick_us" not in row:
             print(f"11 motors at {rate:g} Hz: the run did not become active")
             continue
         tick = row["tick_us"]
         print(
-            f"11 motors at {rate:g} Hz: {100 * row['cpu']:.0f} % of a core, {100 * row['missed']:.2f} % missed, "
-            f"a tick {tick['p50']:.0f} us, p99 {tick['p99']:.0f} us"
+            f"11 motors at {rate:g} Hz: {100 * row['cpu']:.0f} % of a core, "
+            f"a tick {tick['p50']:.0f} us, p99 {tick['p99']:.0f} us; "
+            f"{1e6 * row['missed']:.0f} of a million ticks missed, at most {row['late_us']['max']:.0f} us late "
+            f"(bare sleep and spin: {1e6 * bare['missed']:.0f}, {bare['late_us']['max']:.0f} us)"
         )
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():

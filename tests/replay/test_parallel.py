@@ -122,11 +122,11 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen_modes
 
 
-def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
+def test_a_log_has_a_snapshot_every_half_second(recorded_grasp_log: Path) -> None:
     with RunLog(recorded_grasp_log) as log:
         times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
         snapshot_times = [times[k] for k in log.snapshots]
-        assert snapshot_times == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
+        assert snapshot_times == pytest.approx(np.arange(0.5, log.times[-1], 0.5))
 
 
 def test_three_processes_find_no_difference_where_one_finds_none(

@@ -26,7 +26,7 @@ TOPIC_CONTENT = {
     "/controller/values": (EVERY_TICK, "all telemetry of the tick, see below"),
     "/controller/mode": ("at a change", "mode of the hand"),
     "/controller/snapshot": (
-        "every second",
+        "2 Hz",
         "whole state of the controller, for the code that wrote it",
     ),
     "/tick": (

@@ -331,7 +331,7 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function that records a snapshot of the controller's state once per second.
+    """Return a function that records a snapshot of the controller's state twice per second.
 
     The caller must call the returned function after each tick.
     """

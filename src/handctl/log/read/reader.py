@@ -429,7 +429,7 @@ class RunLog:
     def snapshots(self) -> Mapping[int, bytes]:
         """Return the snapshots of the controller's state, by the number of the tick.
 
-        A log contains one snapshot for each second of the run. A snapshot is read from the file
+        A log contains a snapshot for each half second of the run. A snapshot is read from the file
         only when it is used.
 
         Logs of earlier versions contain no snapshots.

@@ -1,4 +1,4 @@
-"""Topic with a snapshot of the controller's state for each second of a run.
+"""Topic with snapshots of the controller's state, two for each second of a run.
 
 With a snapshot, the controller can execute the ticks after the snapshot again.
 """
@@ -15,8 +15,12 @@ from handctl.log.topics.message_streams import (
 )
 
 SNAPSHOT_TOPIC = "/controller/snapshot"
-SNAPSHOT_PERIOD_NS = 1_000_000_000
-"""Interval between snapshots [ns]."""
+SNAPSHOT_PERIOD_NS = 500_000_000
+"""Interval between snapshots [ns].
+
+Processes that execute a log again start at the snapshots. With longer intervals, the parts of a
+short log would be unequal.
+"""
 _SNAPSHOT_HEAD_STRUCT = struct.Struct("<4xII8xqI")
 """Layout of a message's start: encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""
 
