@@ -22,7 +22,7 @@ from handctl.runtime.clocks.realtime_priority import keep_processors_awake, requ
 from handctl.runtime.clocks.rehearsal import rehearsal_for_period
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.run import make_controller
+from handctl.session.run import make_controller, snapshot_recorder
 from handctl.session.run_plan import RunPlan
 
 DESIGN_RATE_HZ = 1000.0
@@ -113,6 +113,7 @@ def run_loop(
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin_tick, cut_frames, counter.requests,
         lambda: list(recorder.take_events()), record, counter, tick_priority=keep_processors_awake,
+        record_snapshot=snapshot_recorder(recorder),
     )  # fmt: skip
     if rate_hz and priority.is_realtime:
         clock.rehearsal = rehearsal_for_period(loop.rehearse_tick, plan.period_ns)

@@ -1,5 +1,6 @@
 """Every message of a log has the same bytes as the message that mcap-ros2-support and rosbags write."""
 
+import math
 import struct
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from other_log_readers import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from handctl.core.plain_data import serialized_bytes
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_packing import pack_snapshot, pack_tick_record
@@ -36,11 +38,14 @@ STANDARD_PACKAGES = (
 )
 
 
-SNAPSHOT_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the controller's state that the recorded run contains.
+SNAPSHOT_NUMBERS_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
+"""Numbers of the snapshots that the recorded run contains.
 
 Each key of the dictionary is the number of the tick before the snapshot.
 """
+SNAPSHOT_DECISIONS = (":Decisions", math.nan, None, ("index", True), b"\x00\xff")
+"""Decisions of each snapshot that the recorded run contains."""
+SNAPSHOT_DECISIONS_JSON = b'[":Decisions",NaN,null,["index",true],[":bytes","00ff"]]'
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +55,9 @@ def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder = Recorder.start(path, run)
     for tick_in, out in varied_run.varied_ticks(run):
         assert recorder.send_record(pack_tick_record(tick_in, out))
-        if tick_in.k in SNAPSHOT_BY_TICK:
-            assert recorder.send_record(pack_snapshot(tick_in, SNAPSHOT_BY_TICK[tick_in.k]))
+        if numbers := SNAPSHOT_NUMBERS_BY_TICK.get(tick_in.k):
+            decisions = serialized_bytes(SNAPSHOT_DECISIONS)
+            assert recorder.send_record(pack_snapshot(tick_in, numbers, decisions))
     assert recorder.close("finished")["complete"]
     return path
 
@@ -98,7 +104,9 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
 
 def test_a_snapshot_is_read_as_it_was_written(varied_log: Path) -> None:
     with RunLog(varied_log) as run:
-        assert dict(run.snapshots) == SNAPSHOT_BY_TICK
+        assert dict(run.snapshots) == {
+            k: numbers + SNAPSHOT_DECISIONS_JSON for k, numbers in SNAPSHOT_NUMBERS_BY_TICK.items()
+        }
 
 
 def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.run_stages import hand_with_protocol, homed_run
-from handctl.controller.controller_state import ControllerState
+from handctl.controller.controller_state import ControllerState, serialized_decisions
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
 from handctl.core.plain_data import serialized_bytes
@@ -96,6 +96,7 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
                 state.digest(),
                 snapshot_bytes(state),
             )
+            assert serialized_decisions(state.decisions) == serialized_bytes(state.decisions)
             other_state, restored_output = controller.tick(repeated_state, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
             assert (restored_output.state_hash, other_state.digest()) == (
@@ -115,7 +116,7 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
             repeated_state = restore_state(
                 simulation.controller.derived_constants.layout, snapshot_bytes(simulation.state)
             )
-            assert serialized_bytes(repeated_state.decisions) == serialized_bytes(
+            assert serialized_bytes(repeated_state.decisions) == serialized_decisions(
                 simulation.state.decisions
             )
             assert repeated_state.digest() == simulation.state.digest()

@@ -18,7 +18,12 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_data import join_serialized_fields, serialized_bytes
+from handctl.core.plain_data import (
+    join_serialized_fields,
+    join_serialized_items,
+    logged_type_name,
+    serialized_bytes,
+)
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -127,7 +132,18 @@ def _hash_decisions(decisions: ControllerDecisions) -> int:
     return int.from_bytes(digest, "little")
 
 
+_SERIALIZED_DECISIONS_TYPE = serialized_bytes(logged_type_name(ControllerDecisions))
 _decision_hash_cache = IdentityCache[ControllerDecisions, int](_hash_decisions)
+
+
+def serialized_decisions(decisions: ControllerDecisions) -> bytes:
+    """Return ``serialized_bytes(decisions)``, joined from the bytes of its parts.
+
+    If a part has not changed since an earlier tick, the function takes the bytes from a cache.
+    """
+    drives = join_serialized_items(_drives_cache(decisions.drives))
+    other_parts = [_serialized_bytes_cache(part) for part in decisions[1:]]
+    return join_serialized_items([_SERIALIZED_DECISIONS_TYPE, drives, *other_parts])
 
 
 def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:

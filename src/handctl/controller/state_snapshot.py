@@ -10,7 +10,12 @@ import json
 
 import numpy as np
 
-from handctl.controller.controller_state import ClientLease, ControllerDecisions, ControllerState
+from handctl.controller.controller_state import (
+    ClientLease,
+    ControllerDecisions,
+    ControllerState,
+    serialized_decisions,
+)
 from handctl.controller.pending_gains import PendingGains
 from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
@@ -24,10 +29,9 @@ from handctl.core.control_law.trajectory import (
 )
 from handctl.core.gains.gains import Gains
 from handctl.core.plain_data import (
-    BYTES_MARK,
+    json_from_serialized_bytes,
     object_from_plain_data,
     register_restorable_types,
-    to_plain_data,
 )
 from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -62,16 +66,18 @@ LAYOUT_IDENTITY_SIZE = 8
 
 def snapshot_bytes(state: ControllerState) -> bytes:
     """Return the snapshot of a controller's state as bytes."""
-    decisions = json.dumps(
-        to_plain_data(state.decisions), separators=(",", ":"), default=_json_value_of_bytes
-    )
-    return state.layout.identity + state.block.tobytes() + decisions.encode()
+    numbers, decisions = snapshot_parts(state)
+    return numbers + json_from_serialized_bytes(decisions)
 
 
-def _json_value_of_bytes(value: object) -> tuple[str, str]:
-    """Return the text ``BYTES_MARK`` and the bytes as a hexadecimal text, because JSON has no type for bytes."""
-    assert isinstance(value, bytes)
-    return BYTES_MARK, value.hex()
+def snapshot_parts(state: ControllerState) -> tuple[bytes, bytes]:
+    """Return both parts of the snapshot of a controller's state: the numbers, and the serialized decisions.
+
+    The numbers are the beginning of the snapshot. The function ``json_from_serialized_bytes``
+    converts the decisions to the rest of the snapshot. The control loop leaves this conversion to
+    the recorder process, because the conversion takes 0.3 ms with eleven motors.
+    """
+    return state.layout.identity + state.block.tobytes(), serialized_decisions(state.decisions)
 
 
 def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerState:

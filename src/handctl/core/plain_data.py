@@ -10,6 +10,7 @@ of other types.
 
 import enum
 import functools
+import json
 import marshal
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
@@ -114,6 +115,30 @@ def serialized_bytes(value: Any) -> bytes:
     return marshal.dumps(to_plain_data(value), MARSHAL_VERSION)
 
 
+def join_serialized_items(items: Sequence[bytes]) -> bytes:
+    """Return ``serialized_bytes`` of a tuple, joined from ``serialized_bytes`` of its items."""
+    # In version 2 of the format of ``marshal``, a tuple is a mark, the number of items, and the
+    # items.
+    return b"(" + len(items).to_bytes(4, "little") + b"".join(items)
+
+
+def json_from_serialized_bytes(serialized_data: bytes) -> bytes:
+    """Convert the result of ``serialized_bytes`` to JSON.
+
+    A value of type ``bytes`` becomes a mark and hexadecimal digits. The data must come from handctl
+    itself, because ``marshal`` does not check them.
+    """
+    return json.dumps(
+        marshal.loads(serialized_data), separators=(",", ":"), default=_json_value_of_bytes
+    ).encode()
+
+
+def _json_value_of_bytes(value: object) -> tuple[str, str]:
+    """Return the text ``BYTES_MARK`` and the bytes as a hexadecimal text, because JSON has no type for bytes."""
+    assert isinstance(value, bytes)
+    return BYTES_MARK, value.hex()
+
+
 @functools.cache
 def _serialized_header(type_: type) -> tuple[bytes, Callable[[Any], tuple[Any, ...]]]:
     """Return the bytes before the fields of a serialized dataclass, and a function that reads these fields.
@@ -139,8 +164,6 @@ def join_serialized_fields(
     """
     kind: type = type(value)
     start, read_fields = _serialized_header(kind)
-    # In version 2 of the format of ``marshal``, a tuple is a mark, the number of items, and the
-    # items.
     return start + b"".join(serialize_fields(read_fields(value)))
 
 

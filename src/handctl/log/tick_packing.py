@@ -187,8 +187,14 @@ def record_bytes(kind: int, body: bytes) -> bytes:
     return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
 
 
-def pack_snapshot(tick_input: TickIn, data: bytes) -> bytes:
-    """Encode the controller's state after a tick as a record for the pipe."""
-    return record_bytes(
-        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_input.k, tick_input.t_ns) + data
-    )
+def pack_snapshot(tick_input: TickIn, numbers: bytes, decisions: bytes) -> bytes:
+    """Encode the controller's state after a tick as a record for the pipe.
+
+    Args:
+        tick_input: input of the tick.
+        numbers: beginning of the snapshot.
+        decisions: serialized decisions of the controller. The recorder converts these bytes to the
+            rest of the snapshot (see `controller.state_snapshot.snapshot_parts`).
+    """
+    head = SNAPSHOT_HEAD_STRUCT.pack(tick_input.k, tick_input.t_ns, len(numbers))
+    return record_bytes(SNAPSHOT_RECORD_KIND, head + numbers + decisions)

@@ -69,10 +69,11 @@ FILE_RECORD_KIND = 5
 The first record gives the path of the log, and the free disk space [bytes] at which the log ends
 early, as JSON.
 """
-SNAPSHOT_HEAD_STRUCT = struct.Struct("<qq")
-"""Layout of the start of a snapshot record: number and time [ns] of the tick.
+SNAPSHOT_HEAD_STRUCT = struct.Struct("<qqI")
+"""Layout of the start of a snapshot record: number and time [ns] of the tick, size of the numbers [bytes].
 
-In the snapshot record, the controller's state after the tick follows this start.
+In the snapshot record, the numbers and the serialized decisions of the controller's state after the
+tick follow this start.
 """
 
 TICK_SIZES_STRUCT = struct.Struct("<IHHHH")

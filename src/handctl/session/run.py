@@ -12,7 +12,7 @@ from handctl.compiled import compile_kernels
 from handctl.controller import run_setup
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.shutdown import shutdown_step
-from handctl.controller.state_snapshot import snapshot_bytes
+from handctl.controller.state_snapshot import snapshot_parts
 from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.calibration import Calibration
@@ -341,7 +341,7 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
         nonlocal due_ns
         if tick_input.t_ns >= due_ns:
             due_ns = tick_input.t_ns + SNAPSHOT_PERIOD_NS
-            recorder.send_record(pack_snapshot(tick_input, snapshot_bytes(state)))
+            recorder.send_record(pack_snapshot(tick_input, *snapshot_parts(state)))
 
     return record_snapshot
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from handctl.core.plain_data import json_from_serialized_bytes
 from handctl.log.header import RunHeader
 from handctl.log.mcap_container import McapContainer, MessageBlock
 from handctl.log.tick_batch import TickBatcher
@@ -204,13 +205,12 @@ class LogWriter:
 
         The snapshot is written with the next chunk.
         """
-        if not self.closed:
-            k, t_ns = SNAPSHOT_HEAD_STRUCT.unpack_from(body)
-            self._snapshots.append(
-                self._topics.snapshot(
-                    t_ns, ControllerSnapshot(k, body[SNAPSHOT_HEAD_STRUCT.size :])
-                )
-            )
+        if self.closed:
+            return
+        k, t_ns, size = SNAPSHOT_HEAD_STRUCT.unpack_from(body)
+        state = body[SNAPSHOT_HEAD_STRUCT.size :]
+        data = state[:size] + json_from_serialized_bytes(state[size:])
+        self._snapshots.append(self._topics.snapshot(t_ns, ControllerSnapshot(k, data)))
 
     def _is_chunk_end(self, t_ns: int, is_chunk_start: bool) -> bool:
         """Return True if this tick must be the last tick of the current chunk.
