@@ -98,13 +98,46 @@ def test_gains_that_are_wrong_are_bad_input(
 
 
 @pytest.mark.parametrize(
-    "extra_options", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]]
+    "extra_options",
+    [
+        ["--picture", "x.png"],
+        ["--gains", "gains.toml", "--within", "1e-9"],
+        ["--gains", "gains.toml", "--from", "1"],
+        ["--gains", "gains.toml", "--until", "1"],
+    ],
 )
 def test_an_option_without_effect_is_refused(
     extra_options: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "execute", GRASP_LOG, *extra_options]) == 2
     assert "--gains" in capsys.readouterr().err
+
+
+def test_a_part_of_a_log_is_executed(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["replay", "execute", GRASP_LOG, "--within", "1e-9", "--from", "1.2", "--until", "2"]
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["start_s"], result["ticks"]) == (pytest.approx(1.005), 199)
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith("199 ticks from 1.005 s, ")
+
+
+@pytest.mark.parametrize(
+    ("time_options", "expected_error"),
+    [
+        (["--from", "nan"], "--from: nan; expected a time from 0 to 3.2"),
+        (["--from", "-1"], "--from: -1; expected a time from 0 to 3.2"),
+        (["--from", "100"], "--from: 100; expected a time from 0 to 3.2"),
+        (["--until", "nan"], "--until: nan; expected a time after 0 s"),
+        (["--until", "0"], "--until: 0; expected a time after 0 s"),
+        (["--from", "2", "--until", "1.5"], "--until: 1.5; expected a time after 2 s"),
+    ],
+)
+def test_a_part_that_the_log_does_not_contain_is_refused(
+    time_options: list[str], expected_error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", "execute", GRASP_LOG, *time_options]) == 2
+    assert capsys.readouterr().err.startswith(f"handctl: {expected_error}")
 
 
 def test_replay_safety_names_the_reading_of_a_fault(

@@ -4,6 +4,7 @@ Several processes can execute parts of a log again, and each process starts at a
 executions of all parts together give the same outputs as one execution of the whole log.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,8 +22,7 @@ from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.replay import log_runner as courses
-from handctl.replay import parallel_execution
+from handctl.replay import log_runner, parallel_execution
 from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.log_execution import LogExecution, execute_log
 from handctl.replay.tick_difference import state_difference
@@ -194,22 +194,77 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
         serial_and_parallel_executions(change_state)
 
 
+@pytest.mark.parametrize("worker_count", [1, 3])
+@pytest.mark.parametrize(
+    ("from_s", "until_s", "first_tick", "tick_count"),
+    [
+        (0.0, math.inf, 0, 653),
+        (0.49, 1.0, 0, 200),
+        (0.5, 0.51, 0, 102),
+        (0.51, 0.52, 101, 3),
+        (2.3, math.inf, 401, 252),
+        (3.0, 3.005, 501, 100),
+    ],
+)
+def test_a_part_of_a_log_is_executed_from_the_last_snapshot_before_it(
+    recorded_grasp_log: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    from_s: float,
+    until_s: float,
+    first_tick: int,
+    tick_count: int,
+    worker_count: int,
+) -> None:
+    monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
+    with RunLog(recorded_grasp_log) as log:
+        execution = execute_log(log, worker_count=worker_count, from_s=from_s, until_s=until_s)
+        assert execution.start_time_s == log.times[first_tick]
+    assert (execution.ticks, execution.differing_ticks) == (tick_count, 0)
+
+
+@pytest.mark.parametrize(
+    ("from_s", "until_s", "expected_first"), [(1.5, 1.65, None), (1.5, 1.66, 330), (2.1, 3.0, None)]
+)
+def test_a_part_of_a_log_contains_the_difference_or_not(
+    recorded_grasp_log: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    from_s: float,
+    until_s: float,
+    expected_first: int | None,
+) -> None:
+    original_tick = Controller.tick
+    change_state = change_state_at_tick("travel", 330)
+
+    def tick(
+        controller: Controller, state_before: ControllerState, entry: TickIn
+    ) -> tuple[ControllerState, TickOut]:
+        change_state(state_before, entry)
+        return original_tick(controller, state_before, entry)
+
+    monkeypatch.setattr(Controller, "tick", tick)
+    with RunLog(recorded_grasp_log) as log:
+        execution = execute_log(log, from_s=from_s, until_s=until_s)
+    first_difference = execution.first_difference
+    assert (first_difference.k if first_difference else None) == expected_first
+
+
 def test_a_wrong_snapshot_is_not_used_as_a_start(
     recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
     with RunLog(recorded_grasp_log) as log:
-        runner = courses.LogRunner.from_log(log)
-        assert len(parallel_execution.split_log(runner, 3)) == 3
+        runner = log_runner.LogRunner.from_log(log)
+        whole = runner.part_of_time_range(-math.inf, math.inf)
+        assert len(parallel_execution.split_log(runner, whole, 3)) == 3
         changed_snapshots = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
             for k, data in runner.snapshots.items()
         }
-        assert (
-            len(parallel_execution.split_log(replace(runner, snapshots=changed_snapshots), 3)) == 1
-        )
         wrong_snapshots = dict.fromkeys(runner.snapshots, b"x" * 40)
-        assert len(parallel_execution.split_log(replace(runner, snapshots=wrong_snapshots), 3)) == 1
+        for unusable_snapshots in (changed_snapshots, wrong_snapshots):
+            other_runner = replace(runner, snapshots=unusable_snapshots)
+            assert len(parallel_execution.split_log(other_runner, whole, 3)) == 1
+            assert other_runner.part_of_time_range(2.3, 3.0).start == 0
         monkeypatch.setattr(RunLog, "snapshots", changed_snapshots)
         assert execute_log(log, worker_count=3).differing_ticks == 0
 

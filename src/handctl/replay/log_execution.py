@@ -43,7 +43,8 @@ class LogExecution:
         wall_s: time that the re-execution took, without the time for the design of the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
             need this processor time for the whole re-execution.
-        logged_duration_s: duration of the recorded run [s].
+        logged_duration_s: duration of the executed part of the run [s].
+        start_time_s: time of the first executed tick [s of the run].
     """
 
     ticks: int
@@ -55,6 +56,7 @@ class LogExecution:
     wall_s: float
     cpu_s: float
     logged_duration_s: float
+    start_time_s: float
 
     @property
     def real_time_factor(self) -> float:
@@ -79,6 +81,8 @@ def execute_log(
     observer: TickObserver | None = None,
     progress: ProgressCallback | None = None,
     worker_count: int = 1,
+    from_s: float = -math.inf,
+    until_s: float = math.inf,
 ) -> LogExecution:
     """Execute the controller of a recorded run again, on the inputs in the log.
 
@@ -89,11 +93,16 @@ def execute_log(
         progress: function called at intervals with the number of ticks executed so far.
         worker_count: number of processes. With other gains or with an observer, the log is executed in a
             single process. The result does not depend on the number of processes.
+        from_s: time from which the run is executed again [s]. The re-execution begins at the last
+            snapshot before this time. With other gains, the re-execution begins at the start of the
+            run, because the log contains no states of the controller with other gains.
+        until_s: time before which the re-execution ends [s].
 
     Raises:
         LogError: the controller cannot be rebuilt from the log, or the log is damaged.
     """
     runner = LogRunner.from_log(log, gains)
+    part = runner.part_of_time_range(from_s, until_s)
     start = time.perf_counter()
     cpu_start = _cpu_seconds()
     finished_ticks = 0
@@ -106,14 +115,16 @@ def execute_log(
 
     with gc_disabled():
         if worker_count > 1 and not gains and not observer:
-            difference_tally = run_parallel(runner, worker_count, progress or _ignore_progress)
-        else:
-            _, difference_tally = runner.execute_log_part(
-                0, len(log), runner.controller.initial_state(), observer, add_progress
+            difference_tally = run_parallel(
+                runner, part, worker_count, progress or _ignore_progress
             )
+        else:
+            _, difference_tally = runner.execute_log_part(*part, observer, add_progress)
     wall_time_s = time.perf_counter() - start
     cpu_time_s = _cpu_seconds() - cpu_start
-    run_time_s = float(log.times[-1]) if len(log) else 0.0
+    times = log.times[part.start : part.stop]
+    start_time_s = float(times[0]) if len(times) else 0.0
+    duration_s = float(times[-1]) - start_time_s if len(times) else 0.0
     tally_fields = (
         difference_tally.ticks,
         difference_tally.differing_ticks,
@@ -122,7 +133,7 @@ def execute_log(
         difference_tally.first_state_difference,
         difference_tally.largest_difference,
     )
-    return LogExecution(*tally_fields, wall_time_s, cpu_time_s, run_time_s)
+    return LogExecution(*tally_fields, wall_time_s, cpu_time_s, duration_s, start_time_s)
 
 
 def _ignore_progress(ticks: int) -> None:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -102,6 +103,17 @@ class DifferenceTally:
             self.largest_difference = new_difference
 
 
+class LogPart(NamedTuple):
+    """Part of a log: the ticks from index `start` to `stop` - 1.
+
+    The attribute `state` is the controller's state before the first tick of the part.
+    """
+
+    start: int
+    stop: int
+    state: ControllerState
+
+
 @dataclass(frozen=True, slots=True)
 class LogRunner:
     """A log, and the controller that is executed on the inputs in the log.
@@ -130,6 +142,55 @@ class LogRunner:
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
         )
+
+    def starts_after_snapshots(self) -> list[int]:
+        """Return the indices of all ticks that follow a tick with a snapshot of the state, in ascending order."""
+        k = self.log.k
+        snapshot_ticks = np.array(sorted(self.snapshots), np.int64)
+        at = np.searchsorted(k, snapshot_ticks)
+        return [
+            int(index) + 1
+            for index, tick in zip(at, snapshot_ticks, strict=True)
+            if index < len(k) - 1 and k[index] == tick
+        ]
+
+    def state_before_tick(self, tick_index: int) -> ControllerState | None:
+        """Return the controller's state before a tick, from the snapshot in the log.
+
+        Args:
+            tick_index: 0, or one of the indices from `starts_after_snapshots`.
+
+        Returns:
+            the state, or None if this version cannot read the snapshot, or if the hash of the state
+            differs from the logged hash.
+        """
+        if tick_index == 0:
+            return self.controller.initial_state()
+        layout = self.controller.derived_constants.layout
+        try:
+            state = restore_state(layout, self.snapshots[int(self.log.k[tick_index - 1])])
+        except ValueError:
+            return None
+        logged_hash = self.log.state_hash[tick_index - 1].tobytes()
+        return state if state.digest() == logged_hash else None
+
+    def part_of_time_range(self, from_s: float, until_s: float) -> LogPart:
+        """Return the part of the log between two times.
+
+        The part begins at the last snapshot before `from_s` from which the controller can start. If
+        there is no such snapshot, the part begins at the first tick of the log.
+
+        Args:
+            from_s: time at which the part must have begun [s of the run].
+            until_s: end of the part [s of the run].
+        """
+        first_tick, stop = np.searchsorted(self.log.times, (from_s, until_s)).tolist()
+        stop = max(first_tick, stop)
+        starts = [start for start in self.starts_after_snapshots() if start <= first_tick]
+        for start in reversed(starts):
+            if (state := self.state_before_tick(start)) is not None:
+                return LogPart(start, stop, state)
+        return LogPart(0, stop, self.controller.initial_state())
 
     def execute_log_part(
         self,

@@ -26,24 +26,13 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.errors import LogError
 from handctl.processes import run_in_forked_copy
-from handctl.replay.log_runner import DifferenceTally, LogRunner
+from handctl.replay.log_runner import DifferenceTally, LogPart, LogRunner
 from handctl.replay.tick_difference import TickDifference
 
 MIN_TICKS_PER_PROCESS = 200
 """Smallest number of ticks for which a further process is started."""
 PROGRESS_PERIOD_S = 0.2
 """Interval between reports of progress while the first process waits for the other processes [s]."""
-
-
-class LogPart(NamedTuple):
-    """Part of a log: the ticks from index `start` to `stop` - 1.
-
-    The attribute `state` is the controller's state before the first tick of the part.
-    """
-
-    start: int
-    stop: int
-    state: ControllerState
 
 
 class WorkerProcess(NamedTuple):
@@ -92,18 +81,19 @@ class ProgressCounts:
 
 
 def run_parallel(
-    runner: LogRunner, worker_count: int, progress: Callable[[int], None]
+    runner: LogRunner, whole: LogPart, worker_count: int, progress: Callable[[int], None]
 ) -> DifferenceTally:
-    """Execute a whole log in several processes.
+    """Execute a part of a log in several processes.
 
     The function raises the errors of `LogRunner.execute_log_part`.
 
     Args:
         runner: log and controller to execute.
+        whole: part of the log to execute.
         worker_count: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
-    log_parts = split_log(runner, worker_count)
+    log_parts = split_log(runner, whole, worker_count)
     counts = ProgressCounts(len(log_parts), progress)
     workers = [
         _start_worker(runner, log_part, counts.counter_of_process(i))
@@ -128,7 +118,7 @@ def run_parallel(
             )
             if result is None:
                 _, remainder = runner.execute_log_part(
-                    worker.part.start, len(runner.log), state, None, counts.counter_of_process(0)
+                    worker.part.start, whole.stop, state, None, counts.counter_of_process(0)
                 )
                 return total.merged_with_later_tally(remainder)
             state, difference_tally = result
@@ -139,48 +129,25 @@ def run_parallel(
             _kill_worker(worker)
 
 
-def split_log(runner: LogRunner, worker_count: int) -> list[LogPart]:
-    """Divide a log into consecutive parts of about equal length, and return them.
+def split_log(runner: LogRunner, whole: LogPart, worker_count: int) -> list[LogPart]:
+    """Divide a part of a log into consecutive parts of about equal length, and return them.
 
-    Each part of the log begins at the first tick of the log or just after a snapshot.
+    Each of these parts begins at the first tick of `whole` or just after a snapshot.
     """
-    ticks = len(runner.log)
-    k = runner.log.k
-    snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
-    at = np.searchsorted(k, snapshot_ticks)
-    usable_ticks = [
-        int(index) + 1
-        for index, tick in zip(at, snapshot_ticks, strict=True)
-        if index < ticks and k[index] == tick
+    tick_count = whole.stop - whole.start
+    possible_starts = [
+        start for start in runner.starts_after_snapshots() if whole.start < start < whole.stop
     ]
-    count = min(worker_count, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable_ticks) + 1)
-    nearest_ticks = [
-        min(usable_ticks, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
-    ]
-    state_by_start = {0: runner.controller.initial_state()}
-    for start in nearest_ticks:
-        state = _state_after_tick(runner, start - 1)
+    count = min(worker_count, max(tick_count // MIN_TICKS_PER_PROCESS, 1), len(possible_starts) + 1)
+    state_by_start = {whole.start: whole.state}
+    for i in range(1, count):
+        ideal_start = whole.start + tick_count * i / count
+        start = min(possible_starts, key=lambda start: abs(start - ideal_start))
+        state = runner.state_before_tick(start)
         if state is not None:
             state_by_start[start] = state
-    end_ticks = [*sorted(state_by_start), ticks]
-    return [LogPart(start, stop, state_by_start[start]) for start, stop in pairwise(end_ticks)]
-
-
-def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | None:
-    """Read the snapshot that was recorded after a tick, and return the controller's state.
-
-    Returns:
-        the state, or None if this version cannot read the snapshot, or if the hash of the state
-        differs from the logged hash.
-    """
-    try:
-        state = restore_state(
-            runner.controller.derived_constants.layout,
-            runner.snapshots[int(runner.log.k[tick_index])],
-        )
-    except ValueError:
-        return None
-    return state if state.digest() == runner.log.state_hash[tick_index].tobytes() else None
+    borders = [*sorted(state_by_start), whole.stop]
+    return [LogPart(start, stop, state_by_start[start]) for start, stop in pairwise(borders)]
 
 
 def _start_worker(

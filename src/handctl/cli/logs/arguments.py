@@ -119,6 +119,10 @@ def _add_execute_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gains", type=Path, metavar="FILE", help=text)
     text = "picture of the commands with --gains (default: LOG.gains.png)"
     parser.add_argument("--picture", type=Path, metavar="FILE", help=text)
+    text = "begin at the last recorded state of the controller before this time of the run [s]"
+    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help=text)
+    text = "end at this time of the run [s]"
+    parser.add_argument("--until", type=float, dest="until_s", metavar="S", help=text)
     add_jobs_option(parser, None, "number of parallel processes")
     parser.add_argument(
         "--within",

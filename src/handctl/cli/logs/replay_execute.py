@@ -4,6 +4,7 @@ This module and all modules that it imports use no bus.
 """
 
 import argparse
+import math
 from typing import Any
 
 from handctl.cli.console.options import check_count, print_escaped, print_json, warn_if_lossy
@@ -25,8 +26,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.within:g}", "--within", "0 or more")
     if args.picture and not args.gains:
         raise ConfigError("without --gains", "--picture", "--gains FILE")
-    if args.within is not None and args.gains:
-        raise ConfigError("together with --gains", "--within", "one of them")
+    for option, value in (
+        ("--within", args.within),
+        ("--from", args.from_s),
+        ("--until", args.until_s),
+    ):
+        if value is not None and args.gains:
+            raise ConfigError("together with --gains", option, "one of them")
 
     with RunLog(args.recorded) as log:
         is_incomplete = warn_if_lossy(args.recorded, log.warning)
@@ -50,8 +56,15 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     from handctl.replay.log_execution import execute_log, is_within_tolerance
 
     workers = usable_cores() if args.jobs is None else check_count(args.jobs, "--jobs", 64)
+    from_s, until_s = _time_range(args, log)
     with progress_bar("executing", len(log), args.json) as update_progress:
-        execution = execute_log(log, progress=update_progress, worker_count=workers)
+        execution = execute_log(
+            log,
+            progress=update_progress,
+            worker_count=workers,
+            from_s=from_s,
+            until_s=until_s,
+        )
     is_reproduced = (
         not execution.differing_ticks
         if args.within is None
@@ -61,6 +74,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     version_and_code_hash = _version_and_code_hash(log)
     result = {
         "log": str(args.recorded),
+        "start_s": execution.start_time_s,
         "ticks": execution.ticks,
         "differing": execution.differing_ticks,
         "undecided": execution.different_decisions,
@@ -84,7 +98,10 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         print_json(result)
     else:
         other_text = f"{execution.different_decisions} with other decisions"
-        print_escaped(f"{execution.ticks} ticks, {execution.differing_ticks} differ, {other_text}")
+        start_text = f" from {execution.start_time_s:.3f} s" if execution.start_time_s else ""
+        print_escaped(
+            f"{execution.ticks} ticks{start_text}, {execution.differing_ticks} differ, {other_text}"
+        )
         for word, difference_row in (
             ("first", execution.first_difference),
             ("state", execution.first_state_difference),
@@ -111,6 +128,24 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 "--within 1e-9 accepts differences by rounding"
             )
     return is_reproduced
+
+
+def _time_range(args: argparse.Namespace, log: Any) -> tuple[float, float]:
+    """Return the times between which the log is executed again [s of the run].
+
+    Raises:
+        ConfigError: no tick of the log is between these times.
+    """
+    end_s = float(log.times[-1]) if len(log) else 0.0
+    from_s, until_s = args.from_s, args.until_s
+    if from_s is not None and not 0.0 <= from_s <= end_s:
+        raise ConfigError(f"{from_s:g}", "--from", f"a time from 0 to {end_s:.3f} s")
+    if until_s is not None and not until_s > (from_s or 0.0):
+        raise ConfigError(f"{until_s:g}", "--until", f"a time after {from_s or 0.0:g} s")
+    return (
+        -math.inf if from_s is None else from_s,
+        math.inf if until_s is None else until_s,
+    )
 
 
 def _version_and_code_hash(log: Any) -> tuple[str, str]:
