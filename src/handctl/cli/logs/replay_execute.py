@@ -57,7 +57,8 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
     workers = usable_cores() if args.jobs is None else check_count(args.jobs, "--jobs", 64)
     from_s, until_s = _time_range(args, log)
-    with progress_bar("executing", len(log), args.json) as update_progress:
+    tick_count = int(((log.times >= from_s) & (log.times < until_s)).sum())
+    with progress_bar("executing", tick_count, args.json) as update_progress:
         execution = execute_log(
             log,
             progress=update_progress,
