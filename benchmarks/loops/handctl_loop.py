@@ -110,10 +110,13 @@ def run_loop(
         if rate_hz
         else controller.begin_tick
     )
+    # Without deadlines, the time of the run passes many times as fast as real time. Two snapshots for
+    # each second of the run would be many times more than in a run with deadlines.
+    record_snapshot = snapshot_recorder(recorder) if rate_hz else lambda entry, state: None
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin_tick, cut_frames, counter.requests,
         lambda: list(recorder.take_events()), record, counter, tick_priority=keep_processors_awake,
-        record_snapshot=snapshot_recorder(recorder),
+        record_snapshot=record_snapshot,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:
         clock.rehearsal = rehearsal_for_period(loop.rehearse_tick, plan.period_ns)
