@@ -9,6 +9,7 @@ only ratios of results from the same run.
 import argparse
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,8 @@ LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
 AT_RATE_DURATION_S = {500.0: 30.0, 1000.0: 60.0}
 """Duration of the measurement with eleven motors at each fixed rate [s], by the rate [Hz]."""
+FREE_RATE_PAIRS = 5
+"""Number of alternating measurements of both control loops without deadlines."""
 RATE_REDUCTION_FACTOR = 0.85
 """The search for the highest control rate multiplies a control rate that was too high by ``RATE_REDUCTION_FACTOR``."""
 LOOP_MODULE_BY_NAME = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
@@ -88,43 +91,58 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                         )["late_us"]
                         for loop_kind in ("ours", "bare_spin")
                     }
-            rates = {
-                loop_name: measure_max_rates(loop_name, hand, bus, duration_s, quick)
-                for loop_name in ("ours", "usual")
-            }
-        result["motors"][motors] = rates | {
-            f"{name}_ratio": rate_ratio(rates, name) for name in ("free_hz", "held_hz")
-        }
+            result["motors"][motors] = measure_max_rates(hand, bus, duration_s, quick)
     return result
 
 
-def measure_max_rates(
-    loop_name: str, hand_name: str, bus_name: str, duration_s: float, quick: bool
-) -> dict:
-    """Measure the highest rate of a control loop [Hz], without deadlines and with deadlines.
+def measure_max_rates(hand_name: str, bus_name: str, duration_s: float, quick: bool) -> dict:
+    """Measure the highest rates of both control loops [Hz], without deadlines and with deadlines.
 
-    With deadlines, a rate is possible if the control loop misses less than 1 % of the deadlines.
+    Without deadlines, the measurements of the two loops alternate, and each ratio is the ratio of
+    two consecutive measurements. The result has the medians.
     """
-    unlimited_rate = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
-    rate = (0.6 if quick else 0.9) * unlimited_rate
+    free_rates: dict[str, list[float]] = {name: [] for name in LOOP_MODULE_BY_NAME}
+    for _ in range(1 if quick else FREE_RATE_PAIRS):
+        for name, rates in free_rates.items():
+            outcome = measure_in_child_process(name, hand_name, bus_name, duration_s, 0.0)
+            rates.append(outcome["hz"])
+    result: dict = {
+        name: {
+            "free_hz": statistics.median(rates),
+            "held_hz": measure_held_rate(
+                name, hand_name, bus_name, duration_s, statistics.median(rates), quick
+            ),
+        }
+        for name, rates in free_rates.items()
+    }
+    ours, usual = (result[name]["held_hz"] for name in ("ours", "usual"))
+    pair_ratios = [a / b for a, b in zip(free_rates["ours"], free_rates["usual"], strict=True)]
+    return result | {
+        "free_hz_ratio": statistics.median(pair_ratios),
+        "free_hz_pair_ratios": pair_ratios,
+        "held_hz_ratio": ours / usual if ours and usual else None,
+    }
+
+
+def measure_held_rate(
+    loop_name: str,
+    hand_name: str,
+    bus_name: str,
+    duration_s: float,
+    free_rate_hz: float,
+    quick: bool,
+) -> float | None:
+    """Return the highest rate at which a control loop misses less than 1 % of the deadlines [Hz].
+
+    Return None if all tested rates were too high.
+    """
+    rate = (0.6 if quick else 0.9) * free_rate_hz
     for _ in range(1 if quick else 12):
-        if (
-            measure_in_child_process(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
-            < MAX_MISSED_FRACTION
-        ):
-            return {"free_hz": unlimited_rate, "held_hz": rate}
+        outcome = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, rate)
+        if outcome["missed"] < MAX_MISSED_FRACTION:
+            return rate
         rate *= RATE_REDUCTION_FACTOR
-    return {"free_hz": unlimited_rate, "held_hz": None}
-
-
-def rate_ratio(rates: dict, rate_name: str) -> float | None:
-    """Return the rate of handctl divided by the rate of the hand-written loop.
-
-    Return None if all control rates were too high for one of the two loops.
-    """
-    handctl_rate = rates["ours"][rate_name]
-    baseline = rates["usual"][rate_name]
-    return handctl_rate / baseline if handctl_rate and baseline else None
+    return None
 
 
 def measure_in_child_process(
@@ -279,12 +297,13 @@ def print_results(result: dict) -> None:
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
-            handctl_rate = rates["ours"][kind]
-            baseline = rates["usual"][kind]
-            by = rate_ratio(rates, kind)
+            handctl_rate, baseline = rates["ours"][kind], rates["usual"][kind]
+            ratio = rates[f"{kind}_ratio"]
             print(
-                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{baseline or 0:8.0f}{by or 0:8.2f}"
+                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{baseline or 0:8.0f}{ratio or 0:8.2f}"
             )
+        pairs = ", ".join(f"{ratio:.2f}" for ratio in rates["free_hz_pair_ratios"])
+        print(f"  {motors:>2} motors, free, ratios of the pairs: {pairs}")
 
 
 if __name__ == "__main__":
