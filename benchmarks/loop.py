@@ -174,10 +174,14 @@ def measure_in_this_process(
             outcome = run_loop(
                 hand_name, bus_name, float(duration_text), float(rate_text) or None, log
             )
-        except (
-            RuntimeError
-        ):  # The control rate was so high that the controller could not even set up the drives.
-            outcome = 0.0, 1.0, []
+        except RuntimeError as error:
+            # At a rate that is too high, the controller cannot set up the drives, or relaxes the hand.
+            return {
+                "hz": 0.0,
+                "missed": 1.0,
+                "late_us": percentiles_us([]),
+                "failure": str(error),
+            }
     hz, missed_ticks, lateness_us, *other_values = outcome
     result = {"hz": hz, "missed": missed_ticks, "late_us": percentiles_us(lateness_us)}
     if other_values:
@@ -285,7 +289,7 @@ def print_results(result: dict) -> None:
     for rate, rows in result["at_rate"].items():
         row, bare = rows["ours"], rows["bare_spin"]
         if "tick_us" not in row:
-            print(f"11 motors at {rate:g} Hz: the run did not become active")
+            print(f"11 motors at {rate:g} Hz: {row['failure']}")
             continue
         tick = row["tick_us"]
         print(

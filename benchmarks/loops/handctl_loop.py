@@ -82,6 +82,9 @@ def run_loop(
     Returns:
         ticks per second while active, fraction of missed deadlines, lateness of every active tick [ns], wall time
         of each tick in the controller [ns], and CPU time of the control process per second.
+
+    Raises:
+        RuntimeError: the hand was not active for the whole time.
     """
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_RATE_HZ
@@ -124,8 +127,9 @@ def run_loop(
     recorder.close("done")
     bus.close()
     log_path.unlink()
-    if not counter.ticks:
-        raise RuntimeError(f"never active: {state.failure}")
+    if not counter.stopped:
+        seconds = (counter.last_ns - counter.first_ns) / 1e9
+        raise RuntimeError(f"active for only {seconds:.1f} s: {state.failure}")
     run_time_s = (counter.last_ns - counter.first_ns) / 1e9
     missed_fraction = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
     return (
