@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -84,28 +85,34 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                     }
                     for rate, long_s in AT_RATE_DURATION_S.items()
                 }
-                result["loaded_us"] = measure_loaded_lateness(hand, bus, 2 * duration_s, quick)
+                # In some seconds, the host of a virtual machine makes every loop late. Only the
+                # medians of several measurements can be compared.
+                with both_cores_loaded():
+                    loaded = measure_in_turn(
+                        ("ours", "bare_spin"), hand, bus, 2 * duration_s, LATENESS_RATE_HZ, quick
+                    )
+                result["loaded_us"] = {
+                    loop_kind: [outcome["late_us"] for outcome in outcomes]
+                    for loop_kind, outcomes in loaded.items()
+                }
             result["motors"][motors] = measure_max_rates(hand, bus, duration_s, quick)
     return result
 
 
-def measure_loaded_lateness(
-    hand_name: str, bus_name: str, duration_s: float, quick: bool
+def measure_in_turn(
+    loop_names: Iterable[str],
+    hand_name: str,
+    bus_name: str,
+    duration_s: float,
+    rate_hz: float,
+    quick: bool,
 ) -> dict[str, list[dict]]:
-    """Measure the lateness of handctl and of a bare loop in turn, while both cores are busy.
-
-    In some seconds, the host of a virtual machine makes every loop late. Only the medians of several
-    measurements can be compared.
-    """
-    lateness_us: dict[str, list[dict]] = {"ours": [], "bare_spin": []}
-    with both_cores_loaded():
-        for _ in range(1 if quick else MEASUREMENT_PAIRS):
-            for loop_kind, rows in lateness_us.items():
-                outcome = measure_in_child_process(
-                    loop_kind, hand_name, bus_name, duration_s, LATENESS_RATE_HZ
-                )
-                rows.append(outcome["late_us"])
-    return lateness_us
+    """Measure several control loops in turn, ``MEASUREMENT_PAIRS`` times, and return all results of each loop."""
+    outcomes: dict[str, list[dict]] = {name: [] for name in loop_names}
+    for _ in range(1 if quick else MEASUREMENT_PAIRS):
+        for name, rows in outcomes.items():
+            rows.append(measure_in_child_process(name, hand_name, bus_name, duration_s, rate_hz))
+    return outcomes
 
 
 def measure_max_rates(hand_name: str, bus_name: str, duration_s: float, quick: bool) -> dict:
@@ -114,20 +121,13 @@ def measure_max_rates(hand_name: str, bus_name: str, duration_s: float, quick: b
     Without deadlines, the measurements of the two loops alternate, and each ratio is the ratio of
     two consecutive measurements. The result has the medians.
     """
-    free_rates: dict[str, list[float]] = {name: [] for name in LOOP_MODULE_BY_NAME}
-    for _ in range(1 if quick else MEASUREMENT_PAIRS):
-        for name, rates in free_rates.items():
-            outcome = measure_in_child_process(name, hand_name, bus_name, duration_s, 0.0)
-            rates.append(outcome["hz"])
-    result: dict = {
-        name: {
-            "free_hz": statistics.median(rates),
-            "held_hz": measure_held_rate(
-                name, hand_name, bus_name, duration_s, statistics.median(rates), quick
-            ),
-        }
-        for name, rates in free_rates.items()
-    }
+    outcomes = measure_in_turn(LOOP_MODULE_BY_NAME, hand_name, bus_name, duration_s, 0.0, quick)
+    free_rates = {name: [row["hz"] for row in rows] for name, rows in outcomes.items()}
+    result: dict = {}
+    for name, rates in free_rates.items():
+        free_hz = statistics.median(rates)
+        held_hz = measure_held_rate(name, hand_name, bus_name, duration_s, free_hz, quick)
+        result[name] = {"free_hz": free_hz, "held_hz": held_hz}
     ours, usual = (result[name]["held_hz"] for name in ("ours", "usual"))
     pair_ratios = [a / b for a, b in zip(free_rates["ours"], free_rates["usual"], strict=True)]
     return result | {

@@ -37,11 +37,15 @@ def serial_and_parallel_executions(
 ) -> ExecuteSerialAndParallel:
     """Return a function that executes the ticks of a log twice: in one process, and in three processes.
 
-    The only argument of the returned function is None, or a function that falsifies a number in the
-    controller state.
+    The first argument of the returned function is None, or a function that falsifies a number in the
+    controller state. The other arguments are the times between which the log is executed [s].
     """
 
-    def run(change_state: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
+    def run(
+        change_state: StateChange | None = None,
+        from_s: float = -math.inf,
+        until_s: float = math.inf,
+    ) -> tuple[LogExecution, LogExecution]:
         original_tick = Controller.tick
 
         def tick(
@@ -54,7 +58,11 @@ def serial_and_parallel_executions(
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
         with RunLog(recorded_grasp_log) as log:
-            return execute_log(log), execute_log(log, worker_count=3)
+            one_process, three_processes = (
+                execute_log(log, worker_count=count, from_s=from_s, until_s=until_s)
+                for count in (1, 3)
+            )
+            return one_process, three_processes
 
     return run
 
@@ -194,7 +202,6 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
         serial_and_parallel_executions(change_state)
 
 
-@pytest.mark.parametrize("worker_count", [1, 3])
 @pytest.mark.parametrize(
     ("from_s", "until_s", "first_tick", "tick_count"),
     [
@@ -208,44 +215,32 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
 )
 def test_a_part_of_a_log_is_executed_from_the_last_snapshot_before_it(
     recorded_grasp_log: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
     from_s: float,
     until_s: float,
     first_tick: int,
     tick_count: int,
-    worker_count: int,
 ) -> None:
-    monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
     with RunLog(recorded_grasp_log) as log:
-        execution = execute_log(log, worker_count=worker_count, from_s=from_s, until_s=until_s)
-        assert execution.start_time_s == log.times[first_tick]
-    assert (execution.ticks, execution.differing_ticks) == (tick_count, 0)
+        start_time_s = log.times[first_tick]
+    for execution in serial_and_parallel_executions(None, from_s, until_s):
+        assert execution.start_time_s == start_time_s
+        assert (execution.ticks, execution.differing_ticks) == (tick_count, 0)
 
 
 @pytest.mark.parametrize(
     ("from_s", "until_s", "expected_first"), [(1.5, 1.65, None), (1.5, 1.66, 330), (2.1, 3.0, None)]
 )
 def test_a_part_of_a_log_contains_the_difference_or_not(
-    recorded_grasp_log: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
     from_s: float,
     until_s: float,
     expected_first: int | None,
 ) -> None:
-    original_tick = Controller.tick
     change_state = change_state_at_tick("travel", 330)
-
-    def tick(
-        controller: Controller, state_before: ControllerState, entry: TickIn
-    ) -> tuple[ControllerState, TickOut]:
-        change_state(state_before, entry)
-        return original_tick(controller, state_before, entry)
-
-    monkeypatch.setattr(Controller, "tick", tick)
-    with RunLog(recorded_grasp_log) as log:
-        execution = execute_log(log, from_s=from_s, until_s=until_s)
-    first_difference = execution.first_difference
-    assert (first_difference.k if first_difference else None) == expected_first
+    for execution in serial_and_parallel_executions(change_state, from_s, until_s):
+        first_difference = execution.first_difference
+        assert (first_difference.k if first_difference else None) == expected_first
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(

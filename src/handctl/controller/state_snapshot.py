@@ -75,7 +75,7 @@ def snapshot_parts(state: ControllerState) -> tuple[bytes, bytes]:
 
     The numbers are the beginning of the snapshot. The function ``json_from_serialized_bytes``
     converts the decisions to the rest of the snapshot. The control loop leaves this conversion to
-    the recorder process, because the conversion takes 0.3 ms with eleven motors.
+    the recorder process, because the conversion takes 0.1 to 0.4 ms with eleven motors.
     """
     return state.layout.identity + state.block.tobytes(), serialized_decisions(state.decisions)
 

@@ -140,14 +140,15 @@ def _json_value_of_bytes(value: object) -> tuple[str, str]:
 
 
 @functools.cache
-def _serialized_header(type_: type) -> tuple[bytes, Callable[[Any], tuple[Any, ...]]]:
-    """Return the bytes before the fields of a serialized dataclass, and a function that reads these fields.
+def _serialized_name_and_field_reader(
+    type_: type,
+) -> tuple[bytes, Callable[[Any], tuple[Any, ...]]]:
+    """Return the serialized name of a dataclass, and a function that reads the fields of an object.
 
     The dataclass has at least two fields.
     """
     names = [field.name for field in fields(type_) if field.init]
-    start = b"(" + (1 + len(names)).to_bytes(4, "little")
-    return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), attrgetter(*names)
+    return serialized_bytes(logged_type_name(type_)), attrgetter(*names)
 
 
 def join_serialized_fields(
@@ -163,8 +164,8 @@ def join_serialized_fields(
         serialize_fields: function that returns ``serialized_bytes`` of each field.
     """
     kind: type = type(value)
-    start, read_fields = _serialized_header(kind)
-    return start + b"".join(serialize_fields(read_fields(value)))
+    name, read_fields = _serialized_name_and_field_reader(kind)
+    return join_serialized_items([name, *serialize_fields(read_fields(value))])
 
 
 def object_from_plain_data(value: Any) -> Any:

@@ -158,14 +158,12 @@ class LogRunner:
         """Return the controller's state before a tick, from the snapshot in the log.
 
         Args:
-            tick_index: 0, or one of the indices from `starts_after_snapshots`.
+            tick_index: one of the indices from `starts_after_snapshots`.
 
         Returns:
             the state, or None if this version cannot read the snapshot, or if the hash of the state
             differs from the logged hash.
         """
-        if tick_index == 0:
-            return self.controller.initial_state()
         layout = self.controller.derived_constants.layout
         try:
             state = restore_state(layout, self.snapshots[int(self.log.k[tick_index - 1])])

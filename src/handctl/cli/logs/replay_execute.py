@@ -135,7 +135,7 @@ def _time_range(args: argparse.Namespace, log: Any) -> tuple[float, float]:
     """Return the times between which the log is executed again [s of the run].
 
     Raises:
-        ConfigError: no tick of the log is between these times.
+        ConfigError: the start is not within the run, or the end is not after the start.
     """
     end_s = float(log.times[-1]) if len(log) else 0.0
     from_s, until_s = args.from_s, args.until_s
