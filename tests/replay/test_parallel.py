@@ -5,6 +5,8 @@ executions of all parts together give the same outputs as one execution of the w
 """
 
 import math
+import os
+import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -202,6 +204,39 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
         serial_and_parallel_executions(change_state)
 
 
+@pytest.mark.parametrize("first_wrong_tick", [None, 330, 450])
+def test_a_fast_process_takes_over_ticks_of_a_slow_process(
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
+    monkeypatch: pytest.MonkeyPatch,
+    first_wrong_tick: int | None,
+) -> None:
+    """The calling process is slow, and the other processes execute more than their first ranges."""
+    calling_process = os.getpid()
+    parallel_executed_parts: list[parallel_execution.ExecutedPart] = []
+    original_combined_tally = parallel_execution._combined_tally
+
+    def combined_tally(
+        runner: log_runner.LogRunner,
+        whole: log_runner.LogPart,
+        executed_parts: list[parallel_execution.ExecutedPart],
+        progress: Callable[[int], None],
+    ) -> log_runner.DifferenceTally:
+        parallel_executed_parts.extend(executed_parts)
+        return original_combined_tally(runner, whole, executed_parts, progress)
+
+    def change_state(state_before: ControllerState, entry: TickIn) -> None:
+        if os.getpid() == calling_process and entry.k < 150:
+            time.sleep(0.005)
+        if entry.k == first_wrong_tick:
+            state_before.view("travel")[1] += 1e-9
+
+    monkeypatch.setattr(parallel_execution, "_combined_tally", combined_tally)
+    one_process, three_processes = serial_and_parallel_executions(change_state)
+    assert results_without_times(three_processes) == results_without_times(one_process)
+    assert len(parallel_executed_parts) > 3
+    assert sum(part.stop - part.start for part in parallel_executed_parts) == one_process.ticks
+
+
 @pytest.mark.parametrize(
     ("from_s", "until_s", "first_tick", "tick_count"),
     [
@@ -250,7 +285,8 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
     with RunLog(recorded_grasp_log) as log:
         runner = log_runner.LogRunner.from_log(log)
         whole = runner.part_of_time_range(-math.inf, math.inf)
-        assert len(parallel_execution.split_log(runner, whole, 3)) == 3
+        starts = runner.starts_after_snapshots()
+        assert len(parallel_execution.split_log(runner, whole, 3, starts)) == 3
         changed_snapshots = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
             for k, data in runner.snapshots.items()
@@ -258,7 +294,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
         wrong_snapshots = dict.fromkeys(runner.snapshots, b"x" * 40)
         for unusable_snapshots in (changed_snapshots, wrong_snapshots):
             other_runner = replace(runner, snapshots=unusable_snapshots)
-            assert len(parallel_execution.split_log(other_runner, whole, 3)) == 1
+            assert len(parallel_execution.split_log(other_runner, whole, 3, starts)) == 1
             assert other_runner.part_of_time_range(2.3, 3.0).start == 0
         monkeypatch.setattr(RunLog, "snapshots", changed_snapshots)
         assert execute_log(log, worker_count=3).differing_ticks == 0

@@ -4,7 +4,7 @@ The differences between the computed outputs and the logged outputs are counted.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -214,9 +214,29 @@ class LogRunner:
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
         """
+        return self.execute_ticks(
+            self.logged_ticks(first_tick, tick_end), state, observer, progress
+        )
+
+    def execute_ticks(
+        self,
+        logged_ticks: Iterable[tuple[TickRecord, bytes]],
+        state: ControllerState,
+        observer: TickObserver | None,
+        progress: ProgressCallback | None,
+    ) -> tuple[ControllerState, DifferenceTally]:
+        """Execute the controller on the inputs of consecutive ticks, see `execute_log_part`.
+
+        Args:
+            logged_ticks: ticks from `logged_ticks`.
+            state: state of the controller before the first tick.
+            observer: function called with the input and the output of every tick.
+            progress: function called at intervals with the number of ticks executed since the last
+                call.
+        """
         difference_tally = DifferenceTally()
         tick = self.controller.tick
-        for logged_tick, numbers in self._logged_ticks(first_tick, tick_end):
+        for logged_tick, numbers in logged_ticks:
             try:
                 state, tick_output = tick(state, logged_tick.tick_in)
             except ValueError as error:
@@ -242,7 +262,7 @@ class LogRunner:
                     )
         return state, difference_tally
 
-    def _logged_ticks(self, first_tick: int, tick_end: int) -> Iterator[tuple[TickRecord, bytes]]:
+    def logged_ticks(self, first_tick: int, tick_end: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index `first_tick` to `tick_end` - 1, each with its telemetry."""
         chunk_starts = self.log.first_tick_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to

@@ -1,26 +1,23 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-The log is divided into consecutive parts, and each process executes one part. The process of a part
-starts from a snapshot of the controller's state in the log. At each border between two parts, the
-hash of this snapshot is compared with the hash of the state at the end of the earlier part. If the
-hashes at a border are equal, a serial execution would reach the same state, and the results of both
-parts are combined. If the hashes at a border differ, one process executes the log serially from
-this border on. The result of a parallel execution is always equal to the result of a serial
-execution.
+The ticks of the log are distributed among the processes, see `tick_ranges`. A process executes one
+or more parts of the log, and each part starts from a snapshot of the controller's state in the log.
+At each border between two parts, the hash of this snapshot is compared with the hash of the state
+at the end of the earlier part. If the hashes at a border are equal, a serial execution would reach
+the same state, and the results of both parts are combined. If the hashes at a border differ, one
+process executes the log serially from this border on. The result of a parallel execution is always
+equal to the result of a serial execution.
 """
 
 import json
-import mmap
 import os
 import select
 import signal
-from collections.abc import Callable
-from dataclasses import astuple
-from itertools import pairwise
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import astuple, dataclass
+from itertools import islice, pairwise
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
@@ -28,56 +25,39 @@ from handctl.errors import LogError
 from handctl.processes import run_in_forked_copy
 from handctl.replay.log_runner import DifferenceTally, LogPart, LogRunner
 from handctl.replay.tick_difference import TickDifference
+from handctl.replay.tick_ranges import TickRanges
 
 MIN_TICKS_PER_PROCESS = 200
 """Smallest number of ticks for which a further process is started."""
+WORKER_COST_TICKS = 250
+"""Number of ticks that a process could execute in the time that starting and ending a worker takes."""
 PROGRESS_PERIOD_S = 0.2
 """Interval between reports of progress while the first process waits for the other processes [s]."""
 
 
-class WorkerProcess(NamedTuple):
-    """Worker process with its part of the log.
+class ExecutedPart(NamedTuple):
+    """Part of a log that a process has executed.
 
-    The worker writes the result to a pipe. The attribute `pipe` is the file descriptor of the read
-    end.
+    Attributes:
+        start: index of the first tick of the part.
+        stop: index after the last tick of the part.
+        start_hash: hash of the state from which the process started.
+        end_state: state of the controller after the last tick of the part.
+        tally: differences in the part.
     """
+
+    start: int
+    stop: int
+    start_hash: bytes
+    end_state: ControllerState
+    tally: DifferenceTally
+
+
+class WorkerProcess(NamedTuple):
+    """Worker process, and the file descriptor of the pipe from which its result is read."""
 
     process: int
     pipe: int
-    part: LogPart
-
-
-class ProgressCounts:
-    """Counts of the executed ticks, one count per process, in memory that all processes share."""
-
-    def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
-        """Allocate shared memory for one tick count per process.
-
-        Args:
-            processes: number of processes.
-            progress: function called with the number of ticks that all processes have executed.
-        """
-        # An anonymous memory mapping is shared with the processes that this process forks.
-        self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
-        self._progress = progress
-
-    def counter_of_process(self, process_index: int) -> Callable[[int], None]:
-        """Return a function that counts the executed ticks of a process.
-
-        For process 0, which is the calling process, the returned function also reports the progress
-        of all processes.
-        """
-
-        def add_executed_ticks(ticks: int) -> None:
-            self._done[process_index] += ticks
-            if process_index == 0:
-                self.report_total()
-
-        return add_executed_ticks
-
-    def report_total(self) -> None:
-        """Report how many ticks all processes together have executed."""
-        self._progress(int(self._done.sum()))
 
 
 def run_parallel(
@@ -93,56 +73,48 @@ def run_parallel(
         worker_count: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
-    log_parts = split_log(runner, whole, worker_count)
-    counts = ProgressCounts(len(log_parts), progress)
-    workers = [
-        _start_worker(runner, log_part, counts.counter_of_process(i))
-        for i, log_part in enumerate(log_parts)
-        if i
-    ]
-    try:
-        state, total = runner.execute_log_part(
-            log_parts[0].start,
-            log_parts[0].stop,
-            log_parts[0].state,
-            None,
-            counts.counter_of_process(0),
-        )
-        for worker in workers:
-            # If the hashes are equal, the worker process started from the state that a serial
-            # execution has at this tick.
-            result = (
-                _wait_for_result(runner, worker, counts)
-                if state.digest() == worker.part.state.digest()
-                else None
-            )
-            if result is None:
-                _, remainder = runner.execute_log_part(
-                    worker.part.start, whole.stop, state, None, counts.counter_of_process(0)
-                )
-                return total.merged_with_later_tally(remainder)
-            state, difference_tally = result
-            total = total.merged_with_later_tally(difference_tally)
-        return total
-    finally:
-        for worker in workers:
-            _kill_worker(worker)
-
-
-def split_log(runner: LogRunner, whole: LogPart, worker_count: int) -> list[LogPart]:
-    """Divide a part of a log into consecutive parts of about equal length, and return them.
-
-    Each of these parts begins at the first tick of `whole` or just after a snapshot.
-    """
-    tick_count = whole.stop - whole.start
-    possible_starts = [
+    segment_starts = [
         start for start in runner.starts_after_snapshots() if whole.start < start < whole.stop
     ]
-    count = min(worker_count, max(tick_count // MIN_TICKS_PER_PROCESS, 1), len(possible_starts) + 1)
+    first_parts = split_log(runner, whole, worker_count, segment_starts)
+    workers: list[WorkerProcess] = []
+    with tempfile.TemporaryFile() as lock_file:
+        ranges = TickRanges(
+            [part.start for part in first_parts], whole.stop, segment_starts, lock_file
+        )
+
+        def report_progress() -> None:
+            progress(ranges.executed_tick_count)
+
+        try:
+            for i, first_part in enumerate(first_parts[1:], start=1):
+                workers.append(_start_worker(RangeExecution(runner, ranges, i), first_part))
+            own_execution = RangeExecution(runner, ranges, 0, report_progress)
+            executed_parts = own_execution.execute_ranges(first_parts[0])
+            for worker in workers:
+                executed_parts += _wait_for_result(runner, worker, report_progress)
+        finally:
+            for worker in workers:
+                _kill_worker(worker)
+    return _combined_tally(runner, whole, executed_parts, progress)
+
+
+def split_log(
+    runner: LogRunner, whole: LogPart, worker_count: int, segment_starts: list[int]
+) -> list[LogPart]:
+    """Divide a part of a log into consecutive parts, and return them.
+
+    Each of these parts begins at the first tick of `whole` or just after a snapshot, at one of the
+    ticks in `segment_starts`. The first part is executed by the calling process, and is longer by
+    `WORKER_COST_TICKS`. The other parts have about equal lengths.
+    """
+    tick_count = whole.stop - whole.start
+    count = min(worker_count, max(tick_count // MIN_TICKS_PER_PROCESS, 1), len(segment_starts) + 1)
+    ticks_per_worker = max(0, tick_count - WORKER_COST_TICKS) / count
     state_by_start = {whole.start: whole.state}
     for i in range(1, count):
-        ideal_start = whole.start + tick_count * i / count
-        start = min(possible_starts, key=lambda start: abs(start - ideal_start))
+        ideal_start = whole.stop - (count - i) * ticks_per_worker
+        start = min(segment_starts, key=lambda start: abs(start - ideal_start))
         state = runner.state_before_tick(start)
         if state is not None:
             state_by_start[start] = state
@@ -150,38 +122,149 @@ def split_log(runner: LogRunner, whole: LogPart, worker_count: int) -> list[LogP
     return [LogPart(start, stop, state_by_start[start]) for start, stop in pairwise(borders)]
 
 
-def _start_worker(
-    runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
-) -> WorkerProcess:
-    """Fork this process, and execute a part of the log in the child process."""
+@dataclass(frozen=True, slots=True)
+class RangeExecution:
+    """Execution of ranges of ticks by one process.
+
+    Attributes:
+        runner: log and controller to execute.
+        ranges: ranges of all processes.
+        process_index: index of the process in `ranges`.
+        report_progress: function called after every segment, None for workers.
+    """
+
+    runner: LogRunner
+    ranges: TickRanges
+    process_index: int
+    report_progress: Callable[[], None] | None = None
+
+    def execute_ranges(self, first_part: LogPart) -> list[ExecutedPart]:
+        """Execute the range of the process, and after it ranges that the process takes over.
+
+        If the log is damaged or the controller refuses an input, the execution ends. The range with
+        this tick is then missing in the result.
+
+        Args:
+            first_part: the first range of the process, with the controller's state at its start.
+        """
+        executed_parts: list[ExecutedPart] = []
+        start: int | None = first_part.start
+        state: ControllerState | None = first_part.state
+        while start is not None and state is not None:
+            try:
+                executed_parts.append(self._execute_range(start, state))
+            except LogError:
+                break
+            start = self.ranges.take_over_range(self.process_index)
+            state = None if start is None else self.runner.state_before_tick(start)
+        return executed_parts
+
+    def _execute_range(self, start: int, state: ControllerState) -> ExecutedPart:
+        """Execute one segment after the other until the range of the process is empty.
+
+        The method raises the errors of `LogRunner.execute_log_part`.
+
+        Args:
+            start: index of the first tick of the range.
+            state: state of the controller before this tick.
+        """
+        # The chunks of the log are read when their ticks are needed. So the reading ends with the
+        # range, even if another process takes over the end of the range.
+        logged_ticks = self.runner.logged_ticks(start, len(self.runner.log))
+        start_hash = state.digest()
+        difference_tally = DifferenceTally()
+        stop = start
+        while (segment_end := self.ranges.take_segment(self.process_index)) is not None:
+            tick_count = segment_end - stop
+            state, tally_of_segment = self.runner.execute_ticks(
+                islice(logged_ticks, tick_count), state, None, None
+            )
+            difference_tally = difference_tally.merged_with_later_tally(tally_of_segment)
+            stop = segment_end
+            self.ranges.add_executed_ticks(self.process_index, tick_count)
+            if self.report_progress:
+                self.report_progress()
+        return ExecutedPart(start, stop, start_hash, state, difference_tally)
+
+
+def _start_worker(range_execution: RangeExecution, first_part: LogPart) -> WorkerProcess:
+    """Fork this process, and execute ranges of ticks in the child process."""
     return WorkerProcess(
-        *run_in_forked_copy(lambda: _result_json(runner, log_part, add_executed_ticks)), log_part
+        *run_in_forked_copy(lambda: _parts_as_json(range_execution.execute_ranges(first_part)))
     )
 
 
-def _result_json(
-    runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
-) -> str:
-    """Execute a part of a log, and return the result as JSON. If the log is damaged, the returned text is empty.
+def _combined_tally(
+    runner: LogRunner,
+    whole: LogPart,
+    executed_parts: Iterable[ExecutedPart],
+    progress: Callable[[int], None],
+) -> DifferenceTally:
+    """Return the differences in the whole part of the log.
 
-    After an empty text, the calling process executes the same part of the log itself, finds the
-    damage and reports the error.
+    From the first border on at which the hashes differ or a part is missing, the function executes
+    the log serially. The arguments and errors are those of `run_parallel`.
     """
-    try:
-        state, difference_tally = runner.execute_log_part(*log_part, None, add_executed_ticks)
-    except LogError:
-        return ""
-    return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(difference_tally)})
+    part_by_start = {part.start: part for part in executed_parts if part.start < part.stop}
+    tick, state = whole.start, whole.state
+    total = DifferenceTally()
+    while tick < whole.stop:
+        part = part_by_start.get(tick)
+        # If the hashes are equal, the process started from the state that a serial execution has
+        # at this tick.
+        if part is None or part.start_hash != state.digest():
+            executed_tick_count = tick - whole.start
+
+            def add_progress(ticks: int) -> None:
+                nonlocal executed_tick_count
+                executed_tick_count += ticks
+                progress(executed_tick_count)
+
+            _, remainder = runner.execute_log_part(tick, whole.stop, state, None, add_progress)
+            return total.merged_with_later_tally(remainder)
+        total = total.merged_with_later_tally(part.tally)
+        tick, state = part.stop, part.end_state
+    return total
+
+
+def _parts_as_json(executed_parts: list[ExecutedPart]) -> str:
+    """Return the results of a process as JSON."""
+    return json.dumps(
+        [
+            {
+                "range": (part.start, part.stop),
+                "start_hash": part.start_hash.hex(),
+                "end_state": snapshot_bytes(part.end_state).hex(),
+                "tally": astuple(part.tally),
+            }
+            for part in executed_parts
+        ]
+    )
+
+
+def _part_from_json(runner: LogRunner, data: dict[str, Any]) -> ExecutedPart:
+    """Return an executed part from the data that `_parts_as_json` has written."""
+    *numbers, first_difference, state, largest = data["tally"]
+    difference_tally = DifferenceTally(
+        *numbers,
+        *(
+            TickDifference(*difference) if difference else None
+            for difference in (first_difference, state, largest)
+        ),
+    )
+    end_state = restore_state(
+        runner.controller.derived_constants.layout, bytes.fromhex(data["end_state"])
+    )
+    start, stop = data["range"]
+    return ExecutedPart(start, stop, bytes.fromhex(data["start_hash"]), end_state, difference_tally)
 
 
 def _wait_for_result(
-    runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
-) -> tuple[ControllerState, DifferenceTally] | None:
-    """Wait for a worker process that executes a part of the log, and return its result.
+    runner: LogRunner, worker: WorkerProcess, report_progress: Callable[[], None]
+) -> list[ExecutedPart]:
+    """Wait for the end of a worker process, and return the parts that it has executed.
 
-    Returns:
-        the controller's state at the end of the part, and the tally of differences in the part.
-        None if the process did not finish its part.
+    The result is empty if the worker process failed.
     """
     data = b""
     while True:
@@ -190,21 +273,8 @@ def _wait_for_result(
             if not received_bytes:
                 break
             data += received_bytes
-        counts.report_total()
-    if not data:
-        return None
-    result: dict[str, Any] = json.loads(data)
-    *numbers, first_difference, state, largest = result["tally"]
-    difference_tally = DifferenceTally(
-        *numbers,
-        *(
-            TickDifference(*worker) if worker else None
-            for worker in (first_difference, state, largest)
-        ),
-    )
-    return restore_state(
-        runner.controller.derived_constants.layout, bytes.fromhex(result["state"])
-    ), difference_tally
+        report_progress()
+    return [_part_from_json(runner, part) for part in json.loads(data)] if data else []
 
 
 def _kill_worker(worker: WorkerProcess) -> None:
