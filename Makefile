@@ -111,7 +111,7 @@ soak: env ## simulator and controller in real time for HOURS=, a random fault a 
 	$(BIN)/python -m fuzz.soak --hours $(HOURS)
 
 golden: env ## write the golden logs anew, after a change of the controller that is meant
-	$(BIN)/python tests/replay/short_runs.py logs/golden
+	$(BIN)/python -m tests.replay.golden_logs logs/golden
 
 lock: env ## write the lock files anew; LOCK_FLAGS=--upgrade takes newer releases
 	$(LOCK) pyproject.toml --output-file requirements.lock

@@ -105,14 +105,14 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
     assert run.state.mode == HandMode.ACTIVE
 
 
-def bench_without_time_stamps() -> ControllerBench:
+def bench_without_time_stamps(rate_hz: float = 500.0) -> ControllerBench:
     """Return a test bench whose hand is active.
 
     On the bus of this test bench, the time stamp of a frame is the time at which the host reads the
     frame.
     """
     run = make_controller_bench(
-        HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
+        HandModel.from_hand(load_hand("jamia"), Gains(), rate_hz), LiveProgram()
     )
     run.run_until_mode(HandMode.ACTIVE)
     run.modify_frames_to_host = lambda frames: with_time_stamps(run, frames)
@@ -185,3 +185,27 @@ def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     )
     assert not second_node_reports(run.tick())
     assert [text[:3] for text in second_node_reports(run.tick())] == ["B05"]
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "missing_ticks"), [(500.0, 9), (500.0, 14), (1000.0, 8), (1000.0, 9), (1000.0, 29)]
+)
+def test_replies_after_a_pause_shorter_than_silence_are_no_second_node(
+    rate_hz: float, missing_ticks: int
+) -> None:
+    """The replies of several ticks arrive together, as after a pause of a bus adapter.
+
+    The pause is shorter than the time after which silent motors are a fault.
+    """
+    run = bench_without_time_stamps(rate_hz)
+    waiting: list[Frame] = []
+    run.modify_frames_to_host = lambda frames: waiting.extend(frames) or []
+    reports = [text for _ in range(missing_ticks) for text in second_node_reports(run.tick())]
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, [*waiting, *frames])
+    reports += second_node_reports(run.tick())
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, frames)
+    reports += [text for _ in range(50) for text in second_node_reports(run.tick())]
+    assert not reports
+    assert run.state.mode == HandMode.ACTIVE
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, [*frames, *frames])
+    assert second_node_reports(run.tick()), "positive control"

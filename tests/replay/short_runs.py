@@ -1,9 +1,5 @@
-"""Record short runs in lockstep, and write the golden logs.
+"""Record short runs in lockstep, and write the golden logs, see `golden_logs`."""
 
-`python tests/replay/short_runs.py logs/golden` writes new golden logs.
-"""
-
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -206,7 +202,3 @@ def write_golden_logs(log_folder: Path) -> None:
         io_events=events,
     )
     record_lockstep_run(log_folder / "jamia11-grasp.mcap", task, hand_name="jamia11", rate_hz=200.0)
-
-
-if __name__ == "__main__":
-    write_golden_logs(Path(sys.argv[1]))

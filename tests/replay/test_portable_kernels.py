@@ -17,7 +17,9 @@ from handctl.blas_kernels import (
     PORTABLE_MATRIX_KERNELS,
     cpu_features,
 )
+from handctl.log.read.reader import RunLog
 
+PROJECT_FOLDER = Path(__file__).resolve().parent.parent.parent
 CPUINFO_WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
@@ -111,3 +113,20 @@ def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
         text=True,
     )
     assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_new_golden_logs_equal_the_golden_logs(tmp_path: Path) -> None:
+    """`make golden` chooses the same matrix kernels as handctl.
+
+    Otherwise the last bits of new golden logs would differ from their re-execution.
+    """
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS_")
+    }
+    subprocess.run(
+        [sys.executable, "-m", "tests.replay.golden_logs", str(tmp_path)],
+        env=environment, cwd=PROJECT_FOLDER, check=True,
+    )  # fmt: skip
+    for golden_log in sorted((PROJECT_FOLDER / "logs" / "golden").glob("*.mcap")):
+        with RunLog(golden_log) as log, RunLog(tmp_path / golden_log.name) as new_log:
+            assert new_log.state_hash.tolist() == log.state_hash.tolist(), golden_log.name

@@ -139,7 +139,9 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 
 def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = run_ticks(10)
-    monitor.set_state_values({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
+    monitor.set_state_values(
+        {"unknown": 3.0, "open_requests": {(0, 0): 2, (0, 1): 1}, "lost": 5, "misshapen": 3}
+    )
     assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
         first_row, end = {
@@ -153,7 +155,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
             initial = monitor.layout.view(monitor.layout.initial, field.name)
             np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
     assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))
-    assert monitor.field_values("open_questions") == [2, 1]
+    assert monitor.field_values("open_requests")[0] == [2, 1]
     assert monitor.field_values("lost")[0] == [10, 10, 10]
     assert monitor.field_values("misshapen") == [6, 6, 6]
 

@@ -6,16 +6,15 @@ duplicate.
 
 import pytest
 
-from handctl.core.detectors.outstanding_requests import (
-    MAX_OUTSTANDING_REQUESTS,
-    add_requests,
-    close_answered_requests,
-)
+from handctl.core.detectors.frame_losses import BITS_PER_WORD
+from handctl.core.detectors.outstanding_requests import add_requests, close_answered_requests
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted, synthetic_limits
 
 RequestTicks = tuple[tuple[int, ...], ...]
+LAST_TICK = 6
+"""Last tick with a request before each test."""
 
 
 class OpenRequests(SyntheticMonitor):
@@ -23,19 +22,29 @@ class OpenRequests(SyntheticMonitor):
 
     def __init__(self, ticks_of_open_requests: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(ticks_of_open_requests)))
-        self.set_state_values({
-            "open_questions": {n: len(ticks) for n, ticks in enumerate(ticks_of_open_requests)},
-            "question": {(i, n): k for n, ticks in enumerate(ticks_of_open_requests) for i, k in enumerate(ticks)},
-        })  # fmt: skip
+        self.last_tick = LAST_TICK
+        self.set_ticks_of_open_requests(ticks_of_open_requests)
+
+    def set_ticks_of_open_requests(self, ticks_of_open_requests: RequestTicks) -> None:
+        words: dict[tuple[int, int], int] = {}
+        for n, ticks in enumerate(ticks_of_open_requests):
+            bits = sum(1 << self.last_tick - k for k in ticks)
+            words[0, n] = bits & (1 << BITS_PER_WORD) - 1
+            words[1, n] = bits >> BITS_PER_WORD
+        self.set_state_values({"open_requests": words})
 
     @property
     def outstanding_request_ticks(self) -> RequestTicks:
         """Return, for each motor, the ticks of the requests that have no reply yet."""
-        numbers, ticks = (
-            self.view("open_questions"),
-            self.view("question").reshape(MAX_OUTSTANDING_REQUESTS, -1),
+        words = self.view("open_requests").reshape(2, -1).tolist()
+        return tuple(
+            tuple(
+                self.last_tick - age
+                for age in reversed(range(LOSS_WINDOW_TICKS))
+                if (recent | older << BITS_PER_WORD) >> age & 1
+            )
+            for recent, older in zip(*words, strict=True)
         )
-        return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
     def send_requests(
         self, tick_index: int, motors_must_reply: tuple[bool, ...] | None = None
@@ -53,7 +62,9 @@ class OpenRequests(SyntheticMonitor):
                     ]
                 }
             )
-        call_interpreted(add_requests, self.state_tables, tick_index)
+        self.set_state_values({"missed": tick_index - self.last_tick - 1})
+        call_interpreted(add_requests, self.state_tables)
+        self.last_tick = tick_index
 
     def receive_replies(self, reply_counts: list[int]) -> list[int]:
         """Receive ``reply_counts[n]`` replies from each motor n.
@@ -72,11 +83,11 @@ class OpenRequests(SyntheticMonitor):
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # the first drive need only reply to the last request
     (((), ()), (False, False), ((7,), (7,))),
-    ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
+    ((tuple(range(7)), tuple(range(-60, 7))), (True, True), (tuple(range(8)), tuple(range(-60, 8)))),
     (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),
         ((6, 7), (8 - LOSS_WINDOW_TICKS, 6, 7))),    # the oldest request expires
-    (((-LOSS_WINDOW_TICKS, 7 - LOSS_WINDOW_TICKS), (-LOSS_WINDOW_TICKS,)), (True, True),
-        ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # the last request does not expire
+    (((7 - LOSS_WINDOW_TICKS,), (6,)), (True, True),
+        ((8 - LOSS_WINDOW_TICKS, 7), (6, 7))),    # the last request does not expire, and counts as the oldest tick
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(
     ticks_of_open_requests, replies_to_each_request, outstanding_after_tick
@@ -86,14 +97,23 @@ def test_a_request_increases_the_number_of_outstanding_replies(
     assert questions.outstanding_request_ticks == outstanding_after_tick
 
 
-def test_outstanding_requests_are_limited() -> None:
-    questions = OpenRequests(((),))
-    for k in range(3 * MAX_OUTSTANDING_REQUESTS):
-        questions.send_requests(k)
-        assert len(questions.outstanding_request_ticks[0]) == min(k + 1, MAX_OUTSTANDING_REQUESTS)
-    assert questions.outstanding_request_ticks[0] == tuple(
-        range(2 * MAX_OUTSTANDING_REQUESTS, 3 * MAX_OUTSTANDING_REQUESTS)
+@pytest.mark.parametrize("missed_ticks", [1, 49, 50, 51, 97, 98, 1000])
+def test_requests_become_older_while_the_host_misses_ticks(missed_ticks: int) -> None:
+    questions = OpenRequests(((5, 6),))
+    tick = LAST_TICK + 1 + missed_ticks
+    questions.send_requests(tick)
+    oldest_tick = tick - LOSS_WINDOW_TICKS + 1
+    assert questions.outstanding_request_ticks == (
+        (*([k for k in (5, 6) if k >= oldest_tick] or [oldest_tick]), tick),
     )
+
+
+def test_requests_of_all_ticks_of_the_window_can_be_outstanding() -> None:
+    questions = OpenRequests(((),))
+    for k in range(LAST_TICK + 1, LAST_TICK + 3 * LOSS_WINDOW_TICKS):
+        questions.send_requests(k)
+        first = max(LAST_TICK + 1, k - LOSS_WINDOW_TICKS + 1)
+        assert questions.outstanding_request_ticks[0] == tuple(range(first, k + 1))
 
 
 @pytest.mark.parametrize((
@@ -125,7 +145,7 @@ def test_replies_match_requests_and_the_rest_is_excess(
     assert questions.field_values("surplus") == expected
 
 
-@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_OUTSTANDING_REQUESTS - 1])
+@pytest.mark.parametrize("ticks_without_reply", [2, 3, 49, 50, LOSS_WINDOW_TICKS - 1])
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     ticks_without_reply: int,
 ) -> None:
@@ -134,8 +154,9 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     If one more reply arrives after all missing replies have arrived, this reply is a duplicate.
     """
     questions = OpenRequests(((),))
-    for start in range(2 * LOSS_WINDOW_TICKS):
-        questions.set_state_values({"open_questions": 0})
+    for start in range(10, 2 * LOSS_WINDOW_TICKS, 9):
+        questions.last_tick = start - 1
+        questions.set_ticks_of_open_requests(((),))
         for k in range(start, start + ticks_without_reply + 1):
             questions.send_requests(k)
             motors_with_excess_replies = questions.receive_replies(
@@ -149,10 +170,10 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
 
 def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     questions = OpenRequests(((),))
-    for k in range(LOSS_WINDOW_TICKS + 3):
+    for k in range(LAST_TICK + 1, LAST_TICK + LOSS_WINDOW_TICKS + 5):
         questions.send_requests(k)
-        assert questions.receive_replies([0] if k < 3 else [1]) == []
-    assert questions.outstanding_request_ticks == ((2,),), (
+        assert questions.receive_replies([0] if k < LAST_TICK + 4 else [1]) == []
+    assert len(questions.outstanding_request_ticks[0]) == 1, (
         "the last one stays open: all may come a tick late"
     )
     questions.send_requests(k + 1)

@@ -476,10 +476,8 @@ MALFORMED_FRAME_TICKS = _integer_field("misshapen", "node", "",
     "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
 UNKNOWN_FRAME_RATE = _real_field("unknown", "run", "1/s",
     "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
-OUTSTANDING_REQUEST_COUNT = _integer_field("open_questions", "tendon", "",
-    "number of requests that the motor has not answered")  # fmt: skip
-OUTSTANDING_REQUEST_TICKS = _integer_field("question", "tendon", "",
-    "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
+OPEN_REQUEST_BITS = _integer_field("open_requests", "tendon", "",
+    "ticks whose request the motor has not answered, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
 RECHECK_STEP = _integer_field("recheck_step", "tendon", "",
     "index of the setting that is read again next from the enabled drive")  # fmt: skip
 RECHECK_DUE_NS = _integer_field(

@@ -509,7 +509,7 @@ def store_commands(
         for n in range(x.tendon.shape[1]):
             x.tendon[s.FILTERED_GOAL, n] = math.nan
     if mode != SILENT_MODE and mode != DONE_MODE:
-        outstanding_requests.add_requests(x, x.run_int[s.K])
+        outstanding_requests.add_requests(x)
     posture.estimate_tip_forces(x, c)
     for d in range(x.digit.shape[1]):
         has_contact = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.IS_BLOCKED, d] == 1

@@ -98,7 +98,24 @@ def _detect_duplicate_answers(
                 if (frame.bus, frame.can_id) == (sensors.bus, can_id)
                 and sensors.answers(frame.data, counter)
             ]
-            duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh_payloads, 1))
+            late_count = _count_late_answers(sensors, last_state, counter)
+            if len(fresh_payloads) > 1 + late_count:
+                duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh_payloads, 1))
+
+
+def _count_late_answers(sensors: SensorInterface, last_state: ControllerState, counter: int) -> int:
+    """Return how many missing answers would contain the same counter as the answer to the last SYNC.
+
+    After a pause of the bus, missing answers can arrive together with the answer to the last SYNC.
+    The counter in an answer has only four bits, so an old answer can contain the same counter.
+    """
+    lost_bits = int(last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1])
+    # An answer is counted as missing one or two ticks after its SYNC.
+    return sum(
+        bool((lost_bits | lost_bits << 1) >> age & 1)
+        and sensors.answers(bytes((sensors.counter(last_state.k - age - 1),)), counter)
+        for age in range(LATE_ANSWER_WINDOW_TICKS)
+    )
 
 
 def _has_lost_answers(last_state: ControllerState) -> bool:

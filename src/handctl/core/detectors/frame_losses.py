@@ -1,9 +1,13 @@
 """Counts of lost frames, malformed frames and frames with unknown identifiers.
 
-Each node has an integer with one bit for each recent tick. A bit is 1 if a frame of the node was
-lost in the tick of the bit. Bit 0 belongs to the newest tick. A second integer of each node has the
-same form. In this integer, a bit is 1 if the node sent a malformed frame in the tick of the bit.
+Each node has one bit for each recent tick, see ``shift_tick_bits``. A bit is 1 if a frame of the node was
+lost in the tick of the bit. A further integer of each node has a bit of 1 for each tick in which the
+node sent a malformed frame.
 """
+
+from typing import Any
+
+from numpy.typing import NDArray
 
 from handctl.compiled import kernel_helper
 from handctl.core import constants as h
@@ -16,11 +20,52 @@ from handctl.safety.faults.node import HALF_RATE_LOSS_COUNT
 TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
 """Assumed age of the last reading of a node that has not sent a reading yet [ticks]."""
 BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
-"""Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
+"""Number of used bits in each of the two integers with one bit for each tick."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1
-"""Mask of the used bits of a word with ``BITS_PER_WORD`` bits."""
+"""Mask of the used bits of an integer."""
+OLDEST_BIT = 1 << BITS_PER_WORD - 1
+"""Bit of the oldest tick, in the second integer."""
 MALFORMED_WINDOW_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 """Mask of the bits that belong to the last ``MALFORMED_WINDOW_TICKS`` ticks."""
+
+
+@kernel_helper
+def shift_tick_bits(table: NDArray[Any], row: int, column: int, ticks: int) -> None:
+    """Shift the bits of a column by some ticks, and set the bits of the new ticks to 0.
+
+    The bits are in two integers: one bit for each of the last ``BITS_PER_WORD`` ticks, and one bit
+    for each of the ``BITS_PER_WORD`` ticks before. Bit 0 belongs to the newest tick. The bits of
+    older ticks are lost.
+
+    Args:
+        table: (rows, columns) table of integers, modified in place.
+        row: row of the first integer.
+        column: column of both integers.
+        ticks: number of new ticks.
+    """
+    for _ in range(min(ticks, LOSS_WINDOW_TICKS)):
+        recent_bits = table[row, column]
+        table[row + 1, column] = (
+            table[row + 1, column] << 1 | recent_bits >> (BITS_PER_WORD - 1)
+        ) & WORD_MASK
+        table[row, column] = recent_bits << 1 & WORD_MASK
+
+
+@kernel_helper
+def count_set_bits(bits: int) -> int:
+    """Return the number of 1 bits in an integer."""
+    number = 0
+    while bits:
+        # The AND operation clears the lowest bit that is 1.
+        bits &= bits - 1
+        number += 1
+    return number
+
+
+@kernel_helper
+def count_marked_ticks(table: NDArray[Any], row: int, column: int) -> int:
+    """Return the number of ticks whose bit is 1, in the integers of rows ``row`` and ``row + 1``."""
+    return count_set_bits(table[row, column]) + count_set_bits(table[row + 1, column])
 
 
 @kernel_helper
@@ -95,16 +140,8 @@ def update_loss_counts(
         else:
             for n in range(tendons):
                 is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
-        recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
-        older_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
-        # The two integers form a shift register: the oldest bit of ``recent_bits`` moves into
-        # ``older_bits``.
-        x.node_int[s.LOST_REPLY_BITS + 1, node] = (
-            older_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
-        ) & WORD_MASK
-        x.node_int[s.LOST_REPLY_BITS, node] = (
-            recent_bits << 1 | (is_late and count_missing_replies)
-        ) & WORD_MASK
+        shift_tick_bits(x.node_int, s.LOST_REPLY_BITS, node, 1)
+        x.node_int[s.LOST_REPLY_BITS, node] |= is_late and count_missing_replies
         is_malformed = x.node_int[s.HAS_MALFORMED_FRAME, node] != 0
         x.node_int[s.MALFORMED_FRAME_TICKS, node] = (
             x.node_int[s.MALFORMED_FRAME_TICKS, node] << 1 | is_malformed
@@ -118,22 +155,9 @@ def update_loss_counts(
 
 
 @kernel_helper
-def count_set_bits(bits: int) -> int:
-    """Return the number of 1 bits in an integer."""
-    number = 0
-    while bits:
-        # The AND operation clears the lowest bit that is 1.
-        bits &= bits - 1
-        number += 1
-    return number
-
-
-@kernel_helper
 def count_lost_replies(x: StateTables, node: int) -> int:
     """Return the number of ticks without a reply of a node among the last ``LOSS_WINDOW_TICKS`` ticks."""
-    return count_set_bits(x.node_int[s.LOST_REPLY_BITS, node]) + count_set_bits(
-        x.node_int[s.LOST_REPLY_BITS + 1, node]
-    )
+    return count_marked_ticks(x.node_int, s.LOST_REPLY_BITS, node)
 
 
 @kernel_helper

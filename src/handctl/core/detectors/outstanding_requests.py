@@ -3,27 +3,21 @@
 A late reply answers an old request, so a late reply is not counted as a duplicate.
 
 The host sends a request to each motor in every tick. A missing reply is either lost, or comes later
-together with other replies. On a busy computer, all replies can come a tick late. The host cannot
-distinguish a lost reply from a late reply, so a request stays outstanding until its reply comes,
-but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a
-time limit. If there are more replies than outstanding requests, at least one reply is a duplicate
-or comes from another node.
+together with other replies. On a busy computer, all replies can come a tick late. If a bus adapter
+pauses, the replies of many ticks come together. The host cannot distinguish a lost reply from a late
+reply, so a request stays outstanding until its reply comes, but at most for ``LOSS_WINDOW_TICKS``
+ticks. The newest outstanding request of a motor stays outstanding without a time limit. If there are
+more replies than outstanding requests, at least one reply is a duplicate or comes from another node.
 """
 
 from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.detectors.frame_losses import OLDEST_BIT, count_marked_ticks, shift_tick_bits
 from handctl.core.state_block import StateTables
 from handctl.drives.contract import DrivePhase
-from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
-MAX_OUTSTANDING_REQUESTS = 8
-"""Largest number of outstanding requests of a motor.
-
-A motor with more outstanding requests than ``MAX_OUTSTANDING_REQUESTS`` is silent, and its oldest
-requests are dropped.
-"""
 READY_PHASE = int(DrivePhase.READY)
 """Value of ``drives.contract.DrivePhase.READY``."""
 
@@ -42,35 +36,33 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
         replies = x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n]
-        open_request_count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
+        open_request_count = count_marked_ticks(x.tendon_int, s.OPEN_REQUEST_BITS, n)
         x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 0
         if replies > open_request_count and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
             x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 1 + open_request_count
             has_excess_replies = True
-        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = max(open_request_count - replies, 0)
+        for _ in range(min(replies, open_request_count)):
+            row = s.OPEN_REQUEST_BITS + (x.tendon_int[s.OPEN_REQUEST_BITS, n] == 0)
+            bits = x.tendon_int[row, n]
+            # The AND operation clears the lowest bit that is 1. It belongs to the newest tick.
+            x.tendon_int[row, n] = bits & (bits - 1)
     for g in range(x.group_int.shape[1]):
         has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] > 1
     return has_excess_replies
 
 
 @kernel_helper
-def add_requests(x: StateTables, k: int) -> None:
-    """Record that the host sends a request to every motor in tick k.
+def add_requests(x: StateTables) -> None:
+    """Record that the host sends a request to every motor in the present tick.
 
-    A motor that was not ready before tick k does not answer older requests, so only its new request
-    is open.
+    A motor that was not ready before this tick does not answer older requests, so only its new
+    request is open.
     """
     for n in range(x.tendon.shape[1]):
-        count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
-            count = 0
-        remaining = 0
-        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request can be
-        # stored.
-        for i in range(max(count - MAX_OUTSTANDING_REQUESTS + 1, 0), count):
-            request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
-            if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:
-                x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = request_tick
-                remaining += 1
-        x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = k
-        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = remaining + 1
+            x.tendon_int[s.OPEN_REQUEST_BITS, n] = x.tendon_int[s.OPEN_REQUEST_BITS + 1, n] = 0
+        had_open_request = count_marked_ticks(x.tendon_int, s.OPEN_REQUEST_BITS, n) > 0
+        shift_tick_bits(x.tendon_int, s.OPEN_REQUEST_BITS, n, 1 + x.run_int[s.MISSED_TICKS])
+        if had_open_request and count_marked_ticks(x.tendon_int, s.OPEN_REQUEST_BITS, n) == 0:
+            x.tendon_int[s.OPEN_REQUEST_BITS + 1, n] = OLDEST_BIT
+        x.tendon_int[s.OPEN_REQUEST_BITS, n] |= 1
