@@ -1,7 +1,8 @@
 """Measure how long the controller needs to re-execute the ticks of a log, and profile the controller.
 
-For each tick, the benchmark measures the time of three steps: read the tick from the log, compute
-the tick, and compare the outputs with the log.
+For each tick, the benchmark measures the CPU time of three steps: read the tick from the log,
+compute the tick, and compare the outputs with the log. The benchmark also measures how many times
+faster than real time one process and two processes execute the whole log, in turn.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is re-executed several times. The benchmark uses the shortest time of each
@@ -11,6 +12,7 @@ tick, because other load on the processor core affects the shortest time least.
 import argparse
 import gc
 import json
+import statistics
 import time
 from pathlib import Path
 
@@ -25,6 +27,7 @@ configure_openblas()
 from handctl.controller.tick import Controller  # noqa: E402
 from handctl.log.read.reader import RunLog  # noqa: E402
 from handctl.replay.controller_rebuild import rebuild_controller  # noqa: E402
+from handctl.replay.log_execution import execute_log  # noqa: E402
 from handctl.replay.tick_difference import are_outputs_equal  # noqa: E402
 
 GOLDEN_FOLDER = Path(__file__).resolve().parent.parent / "logs" / "golden"
@@ -62,12 +65,25 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
             "tick": tick
         }
         return {
+            "processes": measure_processes(log, pass_count),
             "ticks": ticks,
             "equal": runs[0]["equal"],
             "us_a_tick": {name: time_s / ticks * 1e6 for name, time_s in shortest_times.items()},
             "times_real_time": period_us * ticks / (sum(shortest_times.values()) * 1e6),
             "spent": cpu_time_fractions(lambda: execute_once(log, controller)),
         }
+
+
+def measure_processes(log: RunLog, pass_count: int) -> dict[int, list[float]]:
+    """Return how many times faster than real time one process and two processes execute a log.
+
+    The wall time is measured. The runs with one process and with two processes alternate.
+    """
+    factors: dict[int, list[float]] = {1: [], 2: []}
+    for _ in range(pass_count):
+        for process_count, results in factors.items():
+            results.append(execute_log(log, worker_count=process_count).real_time_factor)
+    return factors
 
 
 def execute_once(log: RunLog, controller: Controller) -> dict:
@@ -112,6 +128,11 @@ def print_results(result: dict) -> None:
             f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal"
         )
         print(f"  us a tick: {stage_times}")
+        for process_count, factors in row["processes"].items():
+            numbers = ", ".join(f"{factor:.0f}" for factor in sorted(factors))
+            print(
+                f"  processes: {process_count}, median {statistics.median(factors):.1f} times real time ({numbers})"
+            )
         for who, fraction in sorted(
             row["spent"].items(), key=lambda share_of_function: -share_of_function[1]
         ):
