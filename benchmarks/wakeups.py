@@ -12,10 +12,11 @@ import os
 import subprocess
 import sys
 
-from handctl.runtime.clocks.real_clock import RealClock
-from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
+from loop import measure_bare_spin
 
-PERIOD_NS = 1_000_000
+from handctl.runtime.clocks.realtime_priority import keep_processors_awake
+
+RATE_HZ = 1000.0
 LATE_NS = 300_000
 """Delay above which a wake-up counts as late [ns]."""
 PAIRS = 2
@@ -41,25 +42,15 @@ def main() -> None:
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_on_core(core: int, seconds: float) -> list[tuple[float, float]]:
-    """Wait for deadlines on one core. Return time [s] and delay [ms] of each late wake-up."""
-    request_priority()
+def measure_on_core(core: int, seconds: float) -> list[float]:
+    """Wait for deadlines on one core. Return the delay of each late wake-up [ms]."""
     os.sched_setaffinity(0, {core})
-    clock = RealClock(PERIOD_NS)
-    clock.busy_wait = True
-    clock.start()
-    late_wakeups = []
-    k = 1
-    while k <= seconds * 1e9 / PERIOD_NS:
-        late_ns = clock.wait(k)
-        if late_ns > LATE_NS:
-            late_wakeups.append((k * PERIOD_NS / 1e9, late_ns / 1e6))
-        k += 1 + late_ns // PERIOD_NS
-    return late_wakeups
+    _, _, lateness_ns = measure_bare_spin(seconds, RATE_HZ)
+    return [late_ns / 1e6 for late_ns in lateness_ns if late_ns > LATE_NS]
 
 
-def measure_all_cores(seconds: float) -> list[list[tuple[float, float]]]:
-    """Measure on all cores at the same time. Return the late wake-ups of each core."""
+def measure_all_cores(seconds: float) -> list[list[float]]:
+    """Measure on all cores at the same time. Return the delays of the late wake-ups of each core [ms]."""
     processes = [
         subprocess.Popen(
             [sys.executable, __file__, "--core", str(core), "--seconds", str(seconds)],
@@ -75,7 +66,7 @@ def print_results(result: dict) -> None:
     """Print the number and the largest delay of the late wake-ups as text."""
     for state, runs in result.items():
         for cores in runs:
-            late = [delay_ms for core in cores for _, delay_ms in core]
+            late = [delay_ms for core in cores for delay_ms in core]
             numbers = ", ".join(str(len(core)) for core in cores)
             print(
                 f"processors {state}: late wake-ups of each core {numbers}; "

@@ -19,7 +19,13 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.log.read.reader import RunLog
-from handctl.replay.log_runner import LogRunner, ProgressCallback, TickObserver, relative_error
+from handctl.replay.log_runner import (
+    LogRunner,
+    ProgressCallback,
+    TickObserver,
+    count_progress,
+    relative_error,
+)
 from handctl.replay.parallel_execution import run_parallel
 from handctl.replay.tick_difference import TickDifference
 
@@ -105,21 +111,15 @@ def execute_log(
     part = runner.part_of_time_range(from_s, until_s)
     start = time.perf_counter()
     cpu_start = _cpu_seconds()
-    finished_ticks = 0
-
-    def add_progress(ticks: int) -> None:
-        nonlocal finished_ticks
-        finished_ticks += ticks
-        if progress:
-            progress(finished_ticks)
-
     with gc_disabled():
         if worker_count > 1 and not gains and not observer:
             difference_tally = run_parallel(
                 runner, part, worker_count, progress or _ignore_progress
             )
         else:
-            _, difference_tally = runner.execute_log_part(*part, observer, add_progress)
+            _, difference_tally = runner.execute_log_part(
+                *part, observer, count_progress(progress) if progress else None
+            )
     wall_time_s = time.perf_counter() - start
     cpu_time_s = _cpu_seconds() - cpu_start
     times = log.times[part.start : part.stop]

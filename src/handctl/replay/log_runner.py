@@ -36,6 +36,22 @@ TickObserver = Callable[[TickIn, TickOut], None]
 ProgressCallback = Callable[[int], None]
 
 
+def count_progress(report: Callable[[int], None], tick_count: int = 0) -> ProgressCallback:
+    """Return a progress function that adds up the executed ticks, and reports their sum.
+
+    Args:
+        report: function called with the number of all ticks executed so far.
+        tick_count: number of ticks that have been executed before.
+    """
+
+    def add_ticks(ticks: int) -> None:
+        nonlocal tick_count
+        tick_count += ticks
+        report(tick_count)
+
+    return add_ticks
+
+
 def relative_error(difference: TickDifference) -> float:
     """Return the error of a computed value compared with the logged value.
 

@@ -23,7 +23,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.errors import LogError
 from handctl.processes import run_in_forked_copy
-from handctl.replay.log_runner import DifferenceTally, LogPart, LogRunner
+from handctl.replay.log_runner import DifferenceTally, LogPart, LogRunner, count_progress
 from handctl.replay.tick_difference import TickDifference
 from handctl.replay.tick_ranges import TickRanges
 
@@ -213,14 +213,9 @@ def _combined_tally(
         # If the hashes are equal, the process started from the state that a serial execution has
         # at this tick.
         if part is None or part.start_hash != state.digest():
-            executed_tick_count = tick - whole.start
-
-            def add_progress(ticks: int) -> None:
-                nonlocal executed_tick_count
-                executed_tick_count += ticks
-                progress(executed_tick_count)
-
-            _, remainder = runner.execute_log_part(tick, whole.stop, state, None, add_progress)
+            _, remainder = runner.execute_log_part(
+                tick, whole.stop, state, None, count_progress(progress, tick - whole.start)
+            )
             return total.merged_with_later_tally(remainder)
         total = total.merged_with_later_tally(part.tally)
         tick, state = part.stop, part.end_state

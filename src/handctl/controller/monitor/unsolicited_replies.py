@@ -109,7 +109,7 @@ def _count_late_answers(sensors: SensorInterface, last_state: ControllerState, c
     After a pause of the bus, missing answers can arrive together with the answer to the last SYNC.
     The counter in an answer has only four bits, so an old answer can contain the same counter.
     """
-    lost_bits = int(last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1])
+    lost_bits = _lost_answer_bits(last_state)
     # An answer is counted as missing one or two ticks after its SYNC.
     return sum(
         bool((lost_bits | lost_bits << 1) >> age & 1)
@@ -126,10 +126,12 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
     also True after a tick without an answer of the load cells, and after a tick that this host has
     missed.
     """
-    return bool(
-        last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1]
-        & (1 << LATE_ANSWER_WINDOW_TICKS) - 1
-    )
+    return bool(_lost_answer_bits(last_state) & (1 << LATE_ANSWER_WINDOW_TICKS) - 1)
+
+
+def _lost_answer_bits(last_state: ControllerState) -> int:
+    """Return one bit for each recent tick, which is 1 if an answer of the load cells was missing."""
+    return int(last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1])
 
 
 def _duplicate_kind(payloads: list[bytes], expected_count: int) -> int:

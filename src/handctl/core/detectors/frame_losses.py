@@ -1,8 +1,8 @@
 """Counts of lost frames, malformed frames and frames with unknown identifiers.
 
-Each node has one bit for each recent tick, see ``shift_tick_bits``. A bit is 1 if a frame of the node was
-lost in the tick of the bit. A further integer of each node has a bit of 1 for each tick in which the
-node sent a malformed frame.
+Each node has one bit for each recent tick, see ``shift_tick_bits``. A bit is 1 if a frame of the
+node was lost in the tick of the bit. A further integer of each node has a bit of 1 for each tick in
+which the node sent a malformed frame.
 """
 
 from typing import Any

@@ -52,6 +52,13 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
 
 @kernel_helper
+def _has_open_request(x: StateTables, n: int) -> bool:
+    """Return True if motor n has not answered at least one request."""
+    recent_bits = x.tendon_int[s.OPEN_REQUEST_BITS, n]
+    return bool((recent_bits | x.tendon_int[s.OPEN_REQUEST_BITS + 1, n]) != 0)
+
+
+@kernel_helper
 def add_requests(x: StateTables) -> None:
     """Record that the host sends a request to every motor in the present tick.
 
@@ -61,8 +68,8 @@ def add_requests(x: StateTables) -> None:
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             x.tendon_int[s.OPEN_REQUEST_BITS, n] = x.tendon_int[s.OPEN_REQUEST_BITS + 1, n] = 0
-        had_open_request = count_marked_ticks(x.tendon_int, s.OPEN_REQUEST_BITS, n) > 0
+        had_open_request = _has_open_request(x, n)
         shift_tick_bits(x.tendon_int, s.OPEN_REQUEST_BITS, n, 1 + x.run_int[s.MISSED_TICKS])
-        if had_open_request and count_marked_ticks(x.tendon_int, s.OPEN_REQUEST_BITS, n) == 0:
+        if had_open_request and not _has_open_request(x, n):
             x.tendon_int[s.OPEN_REQUEST_BITS + 1, n] = OLDEST_BIT
         x.tendon_int[s.OPEN_REQUEST_BITS, n] |= 1
