@@ -13,6 +13,7 @@ from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
 from handctl.cli.parsing.parser import VerbParser
 from handctl.cli.parsing.renamed_options import RENAMED_OPTIONS
 from handctl.core.gains.gain_bounds import gain_bounds
+from handctl.session.exit_codes import ExitCode
 from tests.cli.command_refusals import refusal_line
 
 COMMAND_LINE_PAGE = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
@@ -58,6 +59,13 @@ def test_help_shows_21_verbs_in_groups(capsys):
     assert all(any(line.startswith(f"  {verb:<11} ") for line in lines) for verb in VERB_HELP)
     assert all(f"{group.title}:" in lines for group in VERB_GROUPS.values())
     assert lines[-1] == "  handctl demo --lockstep"
+
+
+def test_help_names_every_exit_code(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    named_codes = re.findall(r"(\d+) [a-z]", capsys.readouterr().out.split("exit codes:")[1])
+    assert {int(code) for code in named_codes} == set(ExitCode)
 
 
 @pytest.mark.parametrize("command_words", sorted({*VERB_HELP, *leaf_parsers()}))

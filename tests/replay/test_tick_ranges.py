@@ -64,12 +64,15 @@ def test_concurrent_processes_execute_every_tick_exactly_once(lock_file: IO[Any]
     ranges = TickRanges([0, 10, 20, 30], 4000, segment_starts, lock_file)
     fork = multiprocessing.get_context("fork")
     results = fork.SimpleQueue()
-    start_line = fork.Barrier(4)
+    # Without the barrier, the first process sometimes takes all ticks before another process starts.
+    first_segments_taken = fork.Barrier(4)
 
     def take_ticks(process: int) -> None:
-        taken_ranges = []
-        start_line.wait()
         start: int | None = process * 10
+        taken_ranges = [(start, ranges.take_segment(process))]
+        first_segments_taken.wait()
+        ranges.add_executed_ticks(process, 1)
+        start = taken_ranges[0][1]
         while start is not None:
             while (end := ranges.take_segment(process)) is not None:
                 taken_ranges.append((start, end))
@@ -88,4 +91,4 @@ def test_concurrent_processes_execute_every_tick_exactly_once(lock_file: IO[Any]
     starts, ends = zip(*taken, strict=True)
     assert [*starts, 4000] == [0, *ends]
     assert ranges.executed_tick_count == len(taken)
-    assert sum(map(bool, taken_by_process)) > 1
+    assert sorted(taken_ranges[0][0] for taken_ranges in taken_by_process) == [0, 10, 20, 30]

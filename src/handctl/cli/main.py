@@ -137,8 +137,8 @@ VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
 """Options that are allowed both before and after the name of the command."""
 
 HELP_EPILOG = """exit codes:
-  0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
-  130 interrupted, 143 terminated (where no hand ran)
+  0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 5 not checked,
+  70 internal error, 71 remove power, 130 interrupted, 143 terminated (where no hand ran)
 help on a verb:
   handctl VERB --help
 completion in a shell:
