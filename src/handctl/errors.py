@@ -94,4 +94,4 @@ class LogError(HandctlError):
 
 
 class IncomparableError(LogError):
-    """Error for two logs, or for a log and a hand, that cannot be compared with each other."""
+    """Error for two logs that cannot be compared, or for a log that does not fit a hand or this version of handctl."""

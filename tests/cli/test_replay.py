@@ -30,7 +30,7 @@ def test_rounding_of_another_machine_is_distinguished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     compared_function = "handctl.replay.log_runner.are_outputs_equal"
-    monkeypatch.setattr(compared_function, lambda logged, numbers, out: logged.tick_in.k != 100)
+    monkeypatch.setattr(compared_function, lambda logged, *arguments: logged.tick_in.k != 100)
     tick_difference = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
     monkeypatch.setattr(
         "handctl.replay.log_runner.differing_fields", lambda *arguments: iter([tick_difference])

@@ -21,7 +21,7 @@ from handctl.controller.run_setup import RunSetup, make_controller
 from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
-from handctl.errors import LogError
+from handctl.errors import IncomparableError, LogError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.code_identity import code_identity
 from handctl.log.read.reader import RunLog
@@ -227,7 +227,7 @@ def test_gains_of_another_version_are_refused_in_one_line_with_both(
             attachments=log.header.attachments | {"gains.json": recorded_gains.encode()},
             metadata=metadata | {"version": "0.0.9", "code": "0123456789ab"},
         )
-        with pytest.raises(LogError, match=expected_message) as caught:
+        with pytest.raises(IncomparableError, match=expected_message) as caught:
             execute_log(log)
     assert "written by handctl 0.0.9, code 0123456789ab" in str(caught.value)
     assert f"handctl {version('handctl')}, code {code_identity()}" in str(caught.value)

@@ -15,13 +15,14 @@ import pytest
 import short_runs
 
 from handctl.cli.main import main
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import TickEvent, TickIn, TickOut
 from handctl.drives.frame import EXTENDED_FLAG
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_packing import pack_tick_record
-from handctl.log.tick_record import RECORD_FRAMING_STRUCT
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, SNAPSHOT_HEAD_STRUCT
 from handctl.log.write.log_writer import LogWriter
 from handctl.replay.limits_judgement import judge_by_limits
 from handctl.replay.log_execution import execute_log
@@ -177,6 +178,41 @@ def test_every_difference_is_named(
     assert not are_outputs_equal(logged_tick, numbers, now)
     (result,) = differing_fields(TelemetryColumns.from_header(header), logged_tick, numbers, now)
     assert result.logged != result.computed
+
+
+@pytest.mark.parametrize("edits_frame", [False, True])
+def test_states_of_another_version_are_not_compared(
+    grasp_ticks: tuple[RunHeader, TickList],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    edits_frame: bool,
+) -> None:
+    """If all other outputs are equal, the exit code is 4. If a frame differs, the exit code is 1."""
+    header, ticks = grasp_ticks
+    path = tmp_path / "older.mcap"
+    metadata = header.metadata | {"version": "0.0.9", "code": "0123456789ab"}
+    writer = LogWriter(path, replace(header, metadata=metadata), lambda *arguments: None, 1)
+    for entry, out in ticks:
+        older_output = out._replace(state_hash=bytes(8))
+        if edits_frame and entry.k == 300:
+            older_output = with_changed_frame(can_id=1)(older_output)
+        record = pack_tick_record(entry, older_output)
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
+        if entry.k % 100 == 99:
+            head = SNAPSHOT_HEAD_STRUCT.pack(entry.k, entry.t_ns, len(b"another schema"))
+            writer.add_snapshot(head + b"another schema" + serialized_bytes(()))
+    writer.finish("finished", 0)
+    command_words = ["replay", "execute", str(path)]
+    assert main(command_words) == (1 if edits_frame else 4)
+    output = capsys.readouterr().out
+    assert "the states were not compared" in output
+    assert "handctl 0.0.9, code 0123456789ab" in output
+    assert ("frames[0]" in output) == edits_frame
+    main([*command_words, "--json"])
+    content = json.loads(capsys.readouterr().out)
+    assert (content["same"], content["states_compared"]) == (False, False)
+    assert content["differing"] == (1 if edits_frame else 0)
+    assert main([*command_words, "--within", "1e-9"]) == 0
 
 
 def test_values_that_the_controller_refuses_are_refused_by_every_replay(

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from handctl.controller.run_setup import SETUP_ATTACHMENT_NAME, RunSetup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.errors import ConfigError, LogError
+from handctl.errors import ConfigError, IncomparableError, LogError
 from handctl.hand.description import Hand
 from handctl.log.code_identity import UNKNOWN_IDENTITY, code_identity
 from handctl.log.read.hand_in_log import described_hand
@@ -64,28 +64,35 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
     """Return the decoded content of an attachment of a log.
 
     Raises:
-        LogError: the attachment is missing or cannot be decoded.
+        IncomparableError: another version of handctl wrote the log, and the attachment is missing or
+            cannot be decoded.
+        LogError: this version of handctl wrote the log, and the attachment is missing or cannot be
+            decoded.
     """
     data = log.header.attachments.get(name)
     if data is None:
-        raise LogError(f"no {name} in it", *_versions_text(log))
+        raise _unusable_log_error(log, f"no {name} in it")
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
         first_error = error.errors(include_url=False)[0]
         error_location = "".join(f" {key_or_index}" for key_or_index in first_error["loc"])
-        raise LogError(
-            printable_text(f"{name} cannot be read:{error_location}: {first_error['msg']}"),
-            *_versions_text(log),
+        raise _unusable_log_error(
+            log, f"{name} cannot be read:{error_location}: {first_error['msg']}"
         ) from None
 
 
-def _versions_text(log: RunLog) -> tuple[str, str]:
-    """Return two texts for an error message: the handctl version that wrote the log, and the version that reads it."""
+def _unusable_log_error(log: RunLog, reason: str) -> LogError:
+    """Return the exception for a log from which no controller can be rebuilt.
+
+    The message of the exception names the version of handctl that wrote the log, and this version.
+    """
     metadata = log.header.metadata
     writer = metadata.get("version", UNKNOWN_IDENTITY)
     writer_code = metadata.get("code", UNKNOWN_IDENTITY)
-    return (
+    error_type = LogError if writer_code == code_identity() else IncomparableError
+    return error_type(
+        printable_text(reason),
         printable_text(f"the log, written by handctl {writer}, code {writer_code}"),
         f"a log that this one can execute: handctl {version('handctl')}, code {code_identity()}",
     )

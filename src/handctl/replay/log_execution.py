@@ -51,6 +51,8 @@ class LogExecution:
             need this processor time for the whole re-execution.
         logged_duration_s: duration of the executed part of the run [s].
         start_time_s: time of the first executed tick [s of the run].
+        compares_states: True if the states were compared. It is False if another version of handctl
+            wrote the log, and the state of that version has other fields.
     """
 
     ticks: int
@@ -63,6 +65,7 @@ class LogExecution:
     cpu_s: float
     logged_duration_s: float
     start_time_s: float
+    compares_states: bool
 
     @property
     def real_time_factor(self) -> float:
@@ -133,7 +136,14 @@ def execute_log(
         difference_tally.first_state_difference,
         difference_tally.largest_difference,
     )
-    return LogExecution(*tally_fields, wall_time_s, cpu_time_s, duration_s, start_time_s)
+    return LogExecution(
+        *tally_fields,
+        wall_time_s,
+        cpu_time_s,
+        duration_s,
+        start_time_s,
+        runner.compares_states,
+    )
 
 
 def _ignore_progress(ticks: int) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.state_snapshot import restore_state
+from handctl.controller.state_snapshot import has_layout, restore_state
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
@@ -139,12 +139,16 @@ class LogRunner:
         controller: controller that was rebuilt from the log.
         telemetry_columns: names of the telemetry columns in the log.
         snapshots: snapshots of the controller's state in the log, by tick number.
+        compares_states: True if the hash of the state is compared in each tick. It is False if
+            another version of handctl wrote the log, and the state of that version has other
+            fields.
     """
 
     log: RunLog
     controller: Controller
     telemetry_columns: TelemetryColumns
     snapshots: Mapping[int, bytes]
+    compares_states: bool = True
 
     @staticmethod
     def from_log(log: RunLog, gains: Gains | None = None) -> "LogRunner":
@@ -155,8 +159,17 @@ class LogRunner:
         # With other gains, the states of the controller differ from the snapshots in the log. If
         # other gains are given, the snapshots are not used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
+        controller = rebuild_controller(log, gains)
+        first_snapshot = next(iter(snapshots.values()), None)
+        compares_states = first_snapshot is None or has_layout(
+            controller.derived_constants.layout, first_snapshot
+        )
         return LogRunner(
-            log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
+            log,
+            controller,
+            TelemetryColumns.from_header(log.header),
+            snapshots if compares_states else {},
+            compares_states,
         )
 
     def starts_after_snapshots(self) -> list[int]:
@@ -252,6 +265,7 @@ class LogRunner:
         """
         difference_tally = DifferenceTally()
         tick = self.controller.tick
+        compares_states = self.compares_states
         for logged_tick, numbers in logged_ticks:
             try:
                 state, tick_output = tick(state, logged_tick.tick_in)
@@ -262,10 +276,16 @@ class LogRunner:
                 progress(TICKS_PER_PROGRESS_REPORT)
             if observer:
                 observer(logged_tick.tick_in, tick_output)
-            if not are_outputs_equal(logged_tick, numbers, tick_output):
+            if not are_outputs_equal(logged_tick, numbers, tick_output, compares_states):
                 difference_tally.add_tick(
                     list(
-                        differing_fields(self.telemetry_columns, logged_tick, numbers, tick_output)
+                        differing_fields(
+                            self.telemetry_columns,
+                            logged_tick,
+                            numbers,
+                            tick_output,
+                            compares_states,
+                        )
                     ),
                     are_decisions_equal(logged_tick, tick_output),
                 )
@@ -303,7 +323,7 @@ class LogRunner:
                 self.controller.derived_constants.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
-            return None  # if another version of handctl wrote the state, the fields of the state are different
+            return None  # the decisions in a snapshot of another version can have other fields
         return state_difference(self.log.header, logged_tick, snapshot_state, state)
 
 

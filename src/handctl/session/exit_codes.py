@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     LOSSY_LOG = 3
     """A log was read only in part."""
     NOT_COMPARABLE = 4
-    """Two logs, or a log and a hand, do not belong together."""
+    """Two logs, a log and a hand, or a log and this version of handctl do not belong together."""
     NOT_CHECKED = 5
     """No check of a drive failed, but at least one could not be made."""
     INTERNAL = 70

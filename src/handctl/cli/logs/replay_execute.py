@@ -35,20 +35,22 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError("together with --gains", option, "one of them")
 
     with RunLog(args.recorded) as log:
-        is_incomplete = warn_if_lossy(args.recorded, log.warning)
-        has_passed = (
+        exit_code_of_reading = warn_if_lossy(args.recorded, log.warning)
+        exit_code = (
             _compare_with_other_gains(args, log)
             if args.gains
             else _execute_with_logged_gains(args, log)
         )
-    return is_incomplete if has_passed else ExitCode.FAILED
+    return exit_code or exit_code_of_reading
 
 
-def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
+def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> ExitCode:
     """Execute the controller with the inputs and the gains of the log.
 
-    Return True if all computed ticks equal the ticks in the log, or differ by no more than the
-    tolerance.
+    Returns:
+        DONE if all computed ticks equal the ticks in the log, or differ by no more than the
+        tolerance. If the states cannot be compared and all other outputs are equal, the function
+        returns NOT_COMPARABLE. Otherwise, it returns FAILED.
     """
     from importlib.metadata import version
 
@@ -71,6 +73,8 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if args.within is None
         else is_within_tolerance(execution, args.within)
     )
+    # With a tolerance, the hashes of the states are not judged.
+    has_unknown_states = is_reproduced and args.within is None and not execution.compares_states
     running_version = (version("handctl"), code_identity())
     version_and_code_hash = _version_and_code_hash(log)
     result = {
@@ -86,7 +90,8 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if execution.first_state_difference
         else None,
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
-        "same": is_reproduced,
+        "same": is_reproduced and not has_unknown_states,
+        "states_compared": execution.compares_states,
         "version": running_version[0],
         "version_logged": version_and_code_hash[0],
         "code": running_version[1],
@@ -117,7 +122,13 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 f"ticks {gap.last_tick_before + 1} to {gap.first_tick_after - 1} are missing in the log, "
                 "so the ticks after them differ"
             )
-        if execution.differing_ticks and version_and_code_hash != running_version:
+        if not execution.compares_states:
+            print_escaped(
+                "the states were not compared, because another version of the state is in the log"
+            )
+        if (
+            execution.differing_ticks or not execution.compares_states
+        ) and version_and_code_hash != running_version:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
                     *version_and_code_hash, *running_version
@@ -128,7 +139,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 "all decisions are equal; if another machine wrote the log, "
                 "--within 1e-9 accepts differences by rounding"
             )
-    return is_reproduced
+    if has_unknown_states:
+        return ExitCode.NOT_COMPARABLE
+    return ExitCode.DONE if is_reproduced else ExitCode.FAILED
 
 
 def _time_range(args: argparse.Namespace, log: Any) -> tuple[float, float]:
@@ -175,11 +188,8 @@ def _difference_line(difference: Any) -> str:
     return f"tick {difference.k} ({difference.t_s:.3f} s), {difference_location}: {values}"
 
 
-def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the controller with the inputs of the log, but with other gains, and draw the resulting commands.
-
-    Always return True.
-    """
+def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> ExitCode:
+    """Execute the controller with the inputs of the log, but with other gains, and draw the resulting commands."""
     from handctl.core.gains.gains import load_gains
     from handctl.replay.commands_with_other_gains import (
         CommandCollector,
@@ -218,7 +228,7 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
             "first": first_difference,
         }
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
-        return True
+        return ExitCode.DONE
     print_escaped(
         f"{execution.ticks} ticks, {execution.differing_ticks} with other commands or estimates"
     )
@@ -234,4 +244,4 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         for name, size in rows.items():
             print_escaped(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
     print_escaped(f"picture: {picture}")
-    return True
+    return ExitCode.DONE
