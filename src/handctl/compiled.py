@@ -10,7 +10,8 @@ because the types of a kernel's arguments do not depend on the hand. The compile
 a folder. The name of the folder contains a hash of the path and the content of all source files of
 kernels. A change in a source file of kernels leads to a new folder, so that no process runs the
 compiled code of another version. If no folder for the compiled code can be written, each process
-compiles the kernels itself.
+compiles the kernels itself. A program that only needs the model of a hand calls some kernels before
+``compile_kernels``. The first call of such a kernel compiles this kernel alone.
 
 A controller needs numba. Without numba, Python interprets the kernels. Programs that only read logs
 or send requests to a controller do not need numba.
@@ -25,6 +26,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
@@ -40,7 +42,7 @@ if NUMBA_INSTALLED:
     from numba.core.errors import TypingError
     from numba.extending import intrinsic, overload
 
-    from handctl.kernel_loading import load_kernel
+    from handctl.kernel_loading import fast_loading
 
     numba_config: Any = _config
     """Module with the settings of numba. The module has no type information."""
@@ -100,6 +102,20 @@ if NUMBA_INSTALLED:
     }
 
 
+class _UncompiledKernel(NamedTuple):
+    """Kernel that is not compiled yet.
+
+    Attributes:
+        name: module and name of the kernel.
+        dispatcher: numba dispatcher of the kernel.
+        types: numba types of the kernel's arguments.
+    """
+
+    name: str
+    dispatcher: Any
+    types: tuple[Any, ...]
+
+
 def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel to be compiled.
 
@@ -115,14 +131,34 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     def register_kernel(function: F) -> F:
         if not NUMBA_INSTALLED:
             return function
-        dispatcher = _make_dispatcher(function)
+        dispatcher: Any = _make_dispatcher(function)
+        argument_types = tuple(_NUMBA_TYPES[name] for name in arguments)
         _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
             dispatcher,
-            tuple(_NUMBA_TYPES[name] for name in arguments),
+            argument_types,
         )
-        return dispatcher
+        if not numba_config.DISABLE_JIT:
+            dispatcher._compile_for_args = _first_compilation(
+                _UncompiledKernel(function.__name__, dispatcher, argument_types)
+            )
+        return cast(F, dispatcher)
 
     return register_kernel
+
+
+def _first_compilation(uncompiled_kernel: _UncompiledKernel) -> Callable[..., Any]:
+    """Return a function that compiles a kernel, and returns the compiled code.
+
+    A dispatcher without compiled code calls this function instead of a method of numba. The method
+    of numba would register all types of numba, and then compile the kernel for the types of the
+    given arguments instead of its declared types.
+    """
+
+    def compile_for_declared_types(*_arguments: Any) -> Any:
+        _compile_kernel(uncompiled_kernel)
+        return uncompiled_kernel.dispatcher.get_overload(uncompiled_kernel.types)
+
+    return compile_for_declared_types
 
 
 def kernel_helper(function: F) -> F:
@@ -301,20 +337,6 @@ if NUMBA_INSTALLED:
         return implementation
 
 
-class _UncompiledKernel(NamedTuple):
-    """Kernel that is not compiled yet.
-
-    Attributes:
-        name: module and name of the kernel.
-        dispatcher: numba dispatcher of the kernel.
-        types: numba types of the kernel's arguments.
-    """
-
-    name: str
-    dispatcher: Any
-    types: tuple[Any, ...]
-
-
 class KernelCalls:
     """Choice of how Python calls the kernels of a tick.
 
@@ -352,13 +374,24 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         _compile_together(_CACHE_FOLDER, uncompiled_kernels, report)
     for compiled_count, uncompiled_kernel in enumerate(uncompiled_kernels):
         report(compiled_count, len(uncompiled_kernels))
-        if _CACHE_FOLDER:
-            load_kernel(uncompiled_kernel.dispatcher, uncompiled_kernel.types)
-        # The next call does nothing if the code of the kernels was loaded from the disk.
+        _compile_kernel(uncompiled_kernel)
+
+
+def _compile_kernel(uncompiled_kernel: _UncompiledKernel) -> None:
+    """Compile a kernel for its declared argument types, or load its code from the disk."""
+    with fast_loading():
         uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
-        uncompiled_kernel.dispatcher.disable_compile()
-        if not KernelCalls.check_types:
-            _call_without_dispatcher(uncompiled_kernel)
+    uncompiled_kernel.dispatcher.disable_compile()
+    if not KernelCalls.check_types:
+        _call_without_dispatcher(uncompiled_kernel)
+
+
+def fast_loading_of_stored_code() -> AbstractContextManager[None]:
+    """Return a context in which numba loads the stored code of other packages as fast as the kernels.
+
+    Without numba, the context has no effect.
+    """
+    return fast_loading() if NUMBA_INSTALLED else contextlib.nullcontext()
 
 
 def _call_without_dispatcher(kernel_of_tick: _UncompiledKernel) -> None:

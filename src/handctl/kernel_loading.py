@@ -22,6 +22,7 @@ from typing import Any
 
 import numba
 from llvmlite import binding  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
+from numba.core import caching as _caching
 from numba.core import codegen as _codegen
 from numba.core import environment as _environment
 from numba.core import runtime as _runtime
@@ -29,30 +30,35 @@ from numba.core import runtime as _runtime
 TESTED_NUMBA_VERSIONS = ((0, 68),)
 """Versions of numba with which this module was tested."""
 
+caching: Any = _caching
 codegen: Any = _codegen
 environment: Any = _environment
 runtime: Any = _runtime
-"""Internal module of numba without type information, like the two modules above."""
+"""Internal module of numba without type information, like the modules above."""
 
 
-def load_kernel(dispatcher: Any, argument_types: tuple[Any, ...]) -> None:
-    """Load the stored code of a kernel into the dispatcher, or do nothing if the kernel has no stored code.
+@contextmanager
+def fast_loading() -> Iterator[None]:
+    """Let numba load all stored code in the fast way while this context is active.
 
-    Args:
-        dispatcher: numba dispatcher of the kernel, which has a cache on the disk.
-        argument_types: numba types of the arguments.
+    The context also applies to compiled functions of other packages. If a function has no stored
+    code, numba compiles the function as usual.
     """
     version: Any = numba.version_info
     if version.short not in TESTED_NUMBA_VERSIONS:
+        yield
         return
-    target_context = dispatcher.targetctx
-    with _without_compiler(target_context):
-        stored_overload = dispatcher._cache.load_overload(argument_types, target_context)
-    if stored_overload is not None:
-        target_context.insert_user_function(
-            stored_overload.entry_point, stored_overload.fndesc, [stored_overload.library]
-        )
-        dispatcher.add_overload(stored_overload)
+    original_load = caching.Cache.load_overload
+
+    def load_without_compiler(cache: Any, argument_types: Any, target_context: Any) -> Any:
+        with _without_compiler(target_context):
+            return original_load(cache, argument_types, target_context)
+
+    caching.Cache.load_overload = load_without_compiler
+    try:
+        yield
+    finally:
+        caching.Cache.load_overload = original_load
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numba
 import pytest
 
 from handctl import compiled, kernel_loading
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 KERNEL_LOADING_SCRIPT = """
 import sys
@@ -21,6 +22,18 @@ print("loaded", compiled.square.stats.cache_hits != {}, compiled.square(3.0))
 from numba import njit
 square = compiled.square
 print("linked", njit(lambda value: square(value) + 1.0)(3.0))
+"""
+FIRST_CALL_SCRIPT = """
+import sys
+from handctl import compiled
+print("called", compiled.square(3), compiled.square(2), compiled.square.nopython_signatures)
+print("registered", "numba.np.arraymath" in sys.modules)
+"""
+SIMULATOR_SCRIPT = """
+import sys
+from handctl.session.lockstep_simulation import SimulatorSettings
+SimulatorSettings("jamia").check_hand_constructible()
+print("simulator registered", "numba.np.arraymath" in sys.modules)
 """
 UNKNOWN_VERSION_SCRIPT = (
     "from handctl import kernel_loading\nkernel_loading.TESTED_NUMBA_VERSIONS = ()\n"
@@ -44,9 +57,23 @@ def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
     assert printed_lines(KERNEL_LOADING_SCRIPT) == [
         "registered False",
         "imported False",
-        "loaded False 9.0",
+        "loaded True 9.0",
         "linked 10.0",
     ]
+
+
+def test_a_kernel_that_is_called_early_has_its_declared_types() -> None:
+    """An integer does not lead to a second compilation of a kernel that is declared for real numbers."""
+    compiled.compile_kernels()
+    assert printed_lines(FIRST_CALL_SCRIPT) == [
+        "called 9.0 4.0 [(float64,) -> float64]",
+        "registered False",
+    ]
+
+
+def test_the_code_of_the_simulator_is_loaded_without_the_compiler() -> None:
+    SimulatorSettings("jamia").check_hand_constructible()
+    assert printed_lines(SIMULATOR_SCRIPT) == ["simulator registered False"]
 
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Protocol
 
+from handctl.compiled import fast_loading_of_stored_code
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import (
     FRAME_RECORD_BYTES,
@@ -92,7 +93,9 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
     """
     make_simulated_hand = load_simulator_object(entry, "the simulated hand")
     try:
-        peer: LockstepSimulator = make_simulated_hand(**options)
+        # The simulator of handctl is compiled with numba, too.
+        with fast_loading_of_stored_code():
+            peer: LockstepSimulator = make_simulated_hand(**options)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error), "the simulated hand") from None
     return peer
