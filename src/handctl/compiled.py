@@ -132,31 +132,30 @@ def kernel(*arguments: str) -> Callable[[F], F]:
         if not NUMBA_INSTALLED:
             return function
         dispatcher: Any = _make_dispatcher(function)
-        argument_types = tuple(_NUMBA_TYPES[name] for name in arguments)
-        _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
+        uncompiled_kernel = _UncompiledKernel(
+            f"{function.__module__}.{function.__name__}",
             dispatcher,
-            argument_types,
+            tuple(_NUMBA_TYPES[name] for name in arguments),
         )
+        _KERNEL_DISPATCHERS[uncompiled_kernel.name] = uncompiled_kernel[1:]
         if not numba_config.DISABLE_JIT:
-            dispatcher._compile_for_args = _first_compilation(
-                _UncompiledKernel(function.__name__, dispatcher, argument_types)
-            )
+            dispatcher._compile_for_args = _first_compilation(uncompiled_kernel)
         return cast(F, dispatcher)
 
     return register_kernel
 
 
 def _first_compilation(uncompiled_kernel: _UncompiledKernel) -> Callable[..., Any]:
-    """Return a function that compiles a kernel, and returns the compiled code.
+    """Return a function that compiles a kernel, and returns the dispatcher of the kernel.
 
-    A dispatcher without compiled code calls this function instead of a method of numba. The method
-    of numba would register all types of numba, and then compile the kernel for the types of the
-    given arguments instead of its declared types.
+    A dispatcher without compiled code calls this function instead of a method of numba, and then
+    calls the result with the same arguments. The method of numba would register all types of numba,
+    and then compile the kernel for the types of the given arguments instead of its declared types.
     """
 
     def compile_for_declared_types(*_arguments: Any) -> Any:
         _compile_kernel(uncompiled_kernel)
-        return uncompiled_kernel.dispatcher.get_overload(uncompiled_kernel.types)
+        return uncompiled_kernel.dispatcher
 
     return compile_for_declared_types
 
@@ -378,16 +377,20 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
 
 
 def _compile_kernel(uncompiled_kernel: _UncompiledKernel) -> None:
-    """Compile a kernel for its declared argument types, or load its code from the disk."""
+    """Compile a kernel for its declared argument types, or load its code from the disk.
+
+    If another thread has just compiled the kernel, the function does nothing.
+    """
     with fast_loading():
-        uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
-    uncompiled_kernel.dispatcher.disable_compile()
+        if not uncompiled_kernel.dispatcher.signatures:
+            uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
+            uncompiled_kernel.dispatcher.disable_compile()
     if not KernelCalls.check_types:
         _call_without_dispatcher(uncompiled_kernel)
 
 
 def fast_loading_of_stored_code() -> AbstractContextManager[None]:
-    """Return a context in which numba loads the stored code of other packages as fast as the kernels.
+    """Return a context in which numba loads stored code as fast as the kernels, see ``kernel_loading.fast_loading``.
 
     Without numba, the context has no effect.
     """

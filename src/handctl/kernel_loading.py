@@ -24,6 +24,7 @@ import numba
 from llvmlite import binding  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
 from numba.core import caching as _caching
 from numba.core import codegen as _codegen
+from numba.core import compiler_lock as _compiler_lock
 from numba.core import environment as _environment
 from numba.core import runtime as _runtime
 
@@ -32,6 +33,7 @@ TESTED_NUMBA_VERSIONS = ((0, 68),)
 
 caching: Any = _caching
 codegen: Any = _codegen
+compiler_lock: Any = _compiler_lock
 environment: Any = _environment
 runtime: Any = _runtime
 """Internal module of numba without type information, like the modules above."""
@@ -39,26 +41,29 @@ runtime: Any = _runtime
 
 @contextmanager
 def fast_loading() -> Iterator[None]:
-    """Let numba load all stored code in the fast way while this context is active.
+    """Let numba load stored code of ``numba.njit`` in the fast way while this context is active.
 
-    The context also applies to compiled functions of other packages. If a function has no stored
-    code, numba compiles the function as usual.
+    The context also applies to functions of other packages, so it must not contain code that loads
+    functions of ``numba.cfunc`` or ``numba.guvectorize``. If a function has no stored code, numba
+    compiles the function as usual. Other threads cannot compile or load functions meanwhile.
     """
     version: Any = numba.version_info
     if version.short not in TESTED_NUMBA_VERSIONS:
-        yield
+        with compiler_lock.global_compiler_lock:
+            yield
         return
-    original_load = caching.Cache.load_overload
 
     def load_without_compiler(cache: Any, argument_types: Any, target_context: Any) -> Any:
         with _without_compiler(target_context):
             return original_load(cache, argument_types, target_context)
 
-    caching.Cache.load_overload = load_without_compiler
-    try:
-        yield
-    finally:
-        caching.Cache.load_overload = original_load
+    with compiler_lock.global_compiler_lock:
+        original_load = caching.Cache.load_overload
+        caching.Cache.load_overload = load_without_compiler
+        try:
+            yield
+        finally:
+            caching.Cache.load_overload = original_load
 
 
 @contextmanager

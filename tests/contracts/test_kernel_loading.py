@@ -35,6 +35,25 @@ from handctl.session.lockstep_simulation import SimulatorSettings
 SimulatorSettings("jamia").check_hand_constructible()
 print("simulator registered", "numba.np.arraymath" in sys.modules)
 """
+CONCURRENT_CALLS_SCRIPT = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from handctl import compiled, kernel_loading
+sys.setswitchinterval(1e-6)
+load = kernel_loading.caching.Cache.load_overload
+with ThreadPoolExecutor(6) as pool:
+    print("called", set(pool.map(compiled.square, [3.0] * 60)))
+print("unchanged", kernel_loading.caching.Cache.load_overload is load)
+"""
+WRONG_TYPE_SCRIPT = """
+import numpy as np
+from handctl.hand import rigid_body
+table, parent = np.zeros((rigid_body.LINK_TABLE_ROW_COUNT, 1)), np.zeros(1, np.int64)
+try:
+    rigid_body.link_poses(table, parent, np.zeros(1, np.int64))
+except TypeError:
+    print("refused")
+"""
 UNKNOWN_VERSION_SCRIPT = (
     "from handctl import kernel_loading\nkernel_loading.TESTED_NUMBA_VERSIONS = ()\n"
 )
@@ -69,6 +88,15 @@ def test_a_kernel_that_is_called_early_has_its_declared_types() -> None:
         "called 9.0 4.0 [(float64,) -> float64]",
         "registered False",
     ]
+
+
+def test_threads_can_call_a_kernel_for_the_first_time_together() -> None:
+    compiled.compile_kernels()
+    assert printed_lines(CONCURRENT_CALLS_SCRIPT) == ["called {9.0}", "unchanged True"]
+
+
+def test_the_first_call_checks_the_types_of_arrays() -> None:
+    assert printed_lines(WRONG_TYPE_SCRIPT) == ["refused"]
 
 
 def test_the_code_of_the_simulator_is_loaded_without_the_compiler() -> None:

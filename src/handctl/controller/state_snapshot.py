@@ -80,11 +80,6 @@ def snapshot_parts(state: ControllerState) -> tuple[bytes, bytes]:
     return state.layout.identity + state.block.tobytes(), serialized_decisions(state.decisions)
 
 
-def has_layout(layout: BlockLayout, packed_snapshot: bytes) -> bool:
-    """Return True if a snapshot contains a state block with the given layout."""
-    return packed_snapshot[:LAYOUT_IDENTITY_SIZE] == layout.identity
-
-
 def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerState:
     """Return the state stored in a snapshot.
 
@@ -97,7 +92,7 @@ def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerStat
     """
     # All numbers of the state block have 8 bytes.
     end = LAYOUT_IDENTITY_SIZE + 8 * layout.size
-    if not has_layout(layout, packed_snapshot) or len(packed_snapshot) < end:
+    if packed_snapshot[:LAYOUT_IDENTITY_SIZE] != layout.identity or len(packed_snapshot) < end:
         raise ValueError(f"a snapshot of {len(packed_snapshot)} bytes of another schema or hand")
     block = np.frombuffer(packed_snapshot, np.float64, layout.size, LAYOUT_IDENTITY_SIZE).copy()
     try:

@@ -21,11 +21,12 @@ def logged_hand(log: RunLog) -> Hand:
 
     Raises:
         LogError: the log contains no description of a hand that this version of handctl can read.
+            If another version wrote the log, the error is an IncomparableError.
     """
     try:
         return described_hand(log.header, "hand.toml in the log")
     except ConfigError as error:
-        raise LogError(f"no usable hand in it: {error}", "the log", "a hand.toml") from None
+        raise _unusable_log_error(log, f"no usable hand in it: {error}") from None
 
 
 def logged_gains(log: RunLog) -> Gains:
@@ -83,7 +84,7 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 
 
 def _unusable_log_error(log: RunLog, reason: str) -> LogError:
-    """Return the exception for a log from which no controller can be rebuilt.
+    """Return the exception for a log from which no hand or no controller can be rebuilt.
 
     The message of the exception names the version of handctl that wrote the log, and this version.
     """

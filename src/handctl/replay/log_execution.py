@@ -39,7 +39,7 @@ class LogExecution:
         differing_ticks: number of ticks in which at least one byte of the output differs from the
             log.
         different_decisions: number of ticks in which a decision differs from the log: mode, phase,
-            reaction or events.
+            reaction, events, or which frames are sent.
         first_difference: first difference from the logged output, or None if there is no
             difference.
         first_state_difference: first field of the controller's state that differs from a snapshot
@@ -51,8 +51,7 @@ class LogExecution:
             need this processor time for the whole re-execution.
         logged_duration_s: duration of the executed part of the run [s].
         start_time_s: time of the first executed tick [s of the run].
-        compares_states: True if the states were compared. It is False if another version of handctl
-            wrote the log, and the state of that version has other fields.
+        compares_states: True if the states were compared, see `LogRunner`.
     """
 
     ticks: int

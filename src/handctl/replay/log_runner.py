@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.state_snapshot import has_layout, restore_state
+from handctl.controller.state_snapshot import restore_state
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
+from handctl.log.code_identity import code_identity
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import TickRecord
 from handctl.replay.controller_rebuild import rebuild_controller
@@ -140,8 +141,8 @@ class LogRunner:
         telemetry_columns: names of the telemetry columns in the log.
         snapshots: snapshots of the controller's state in the log, by tick number.
         compares_states: True if the hash of the state is compared in each tick. It is False if
-            another version of handctl wrote the log, and the state of that version has other
-            fields.
+            another version of handctl wrote the log, and this version cannot read the states of
+            that version.
     """
 
     log: RunLog
@@ -160,16 +161,12 @@ class LogRunner:
         # other gains are given, the snapshots are not used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         controller = rebuild_controller(log, gains)
-        first_snapshot = next(iter(snapshots.values()), None)
-        compares_states = first_snapshot is None or has_layout(
-            controller.derived_constants.layout, first_snapshot
-        )
         return LogRunner(
             log,
             controller,
             TelemetryColumns.from_header(log.header),
-            snapshots if compares_states else {},
-            compares_states,
+            snapshots,
+            _has_comparable_states(log, controller),
         )
 
     def starts_after_snapshots(self) -> list[int]:
@@ -323,8 +320,24 @@ class LogRunner:
                 self.controller.derived_constants.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
-            return None  # the decisions in a snapshot of another version can have other fields
+            return None  # the snapshot is damaged, or is a state of another version
         return state_difference(self.log.header, logged_tick, snapshot_state, state)
+
+
+def _has_comparable_states(log: RunLog, controller: Controller) -> bool:
+    """Return True if the states of the logged controller have the same fields as the states of this version.
+
+    If another version wrote the log, the first snapshot in the log shows the fields of its states.
+    The states of another version without snapshots are unknown.
+    """
+    if log.header.metadata.get("code") == code_identity():
+        return True
+    first_snapshot = next(iter(log.snapshots.values()), b"")
+    try:
+        restore_state(controller.derived_constants.layout, first_snapshot)
+    except ValueError:
+        return False
+    return True
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:

@@ -10,7 +10,7 @@ from handctl.controller.controller_state import ControllerDecisions, ControllerS
 from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.frame_records import frames_as_records
+from handctl.drives.frame_records import ID_AND_FLAGS_WORD, frames_as_records
 from handctl.log.header import RunHeader
 from handctl.log.tick_record import TickRecord
 
@@ -210,17 +210,29 @@ def are_outputs_equal(
 def are_decisions_equal(logged_tick: TickRecord, computed_tick: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    The decisions of a tick are the mode, the reaction to faults, the grasp phase and the events.
-    The texts of the events are not compared, because these texts contain numbers.
+    The decisions of a tick are the mode, the reaction to faults, the grasp phase, the events, and
+    the identifiers, flags, buses and lengths of the frames. The texts of the events and the
+    payloads of the frames are not compared, because they contain numbers.
     """
     logged_events, computed_events = (
         [event[:3] for event in events] for events in (logged_tick.events, computed_tick.events)
     )
-    return (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_events) == (
+    logged_frames, computed_frames = (
+        frames_as_records(frames).rows[:, ID_AND_FLAGS_WORD].tolist()
+        for frames in (logged_tick.frames, computed_tick.frames)
+    )
+    return (
+        logged_tick.mode,
+        logged_tick.action,
+        logged_tick.phase,
+        logged_events,
+        logged_frames,
+    ) == (
         computed_tick.mode,
         computed_tick.action,
         computed_tick.phase,
         computed_events,
+        computed_frames,
     )
 
 
