@@ -20,7 +20,7 @@ class ExitCode(IntEnum):
     INTERNAL = 70
     """A bug in handctl. The drives were commanded to disable and confirmed it."""
     REMOVE_POWER = 71
-    """A drive did not confirm that it is disabled: remove power."""
+    """A drive did not confirm that it is disabled, or no controller confirmed the request: remove power."""
     INTERRUPTED = 130
     """Ctrl-C while no hand was running.
 
