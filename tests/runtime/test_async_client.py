@@ -37,6 +37,8 @@ async def use_hand_as_client(*connect_options):
             await hand.wait_for(contact="pinky")
         observe_task = asyncio.create_task(observe_hand(hand))
         async with await hand.stream(50, "digit", ["index"]) as stream:
+            assert (stream.names, stream.rate_Hz) == (("index",), 50)
+            assert 1 / 50 < stream.horizon_s < 2 / 50
             for i in range(50):
                 stream.send([30.0 + 10.0 * np.sin(2 * np.pi * i / 50)])
                 await stream.sleep()

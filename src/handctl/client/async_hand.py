@@ -187,13 +187,16 @@ class AsyncTargetStream:
     """Stream of targets, for programs that use asyncio. Use the stream with ``async with``.
 
     Attributes:
-        stream: the ``TargetStream`` that does the work. The stream has attributes such as
-            ``horizon_s``.
+        stream: the ``TargetStream`` that does the work.
+        names, rate_Hz, horizon_s: see ``TargetStream``.
     """
 
     def __init__(self, stream: TargetStream) -> None:
         """Create the asyncio stream from a stream that is open."""
         self.stream = stream
+        self.names = stream.names
+        self.rate_Hz = stream.rate_Hz
+        self.horizon_s = stream.horizon_s
 
     async def __aenter__(self) -> Self:
         """Return the stream."""
