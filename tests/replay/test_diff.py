@@ -10,7 +10,7 @@ from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
 from handctl.replay.log_check import check_log
 from handctl.replay.phase_comparison import compare_logs
-from handctl.replay.run_comparison import compare_signals, difference_lines
+from handctl.replay.run_comparison import compare_signals, difference_lines, signal_delay
 
 
 def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:
@@ -122,6 +122,13 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     delays = [row["delay_s"] for row in comparison.values()]
     assert np.isnan(delays[:2]).all()
     assert delays[2] == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("shift", [0, 3])
+def test_the_delay_of_a_copy_is_exact(shift: int) -> None:
+    """A parabola through the neighbouring shifts would give another delay for a signal that is not symmetric."""
+    signal = np.exp(np.linspace(0.0, 2.0, 200)) ** 2
+    assert signal_delay(signal[10:190], signal[10 - shift : 190 - shift], 0.01) == shift * 0.01
 
 
 def test_unknown_differences_are_not_printed() -> None:
