@@ -180,6 +180,27 @@ def test_every_difference_is_named(
     assert result.logged != result.computed
 
 
+@pytest.mark.parametrize(("tick_count", "has_equal_hashes"), [(0, True), (3, True), (3, False)])
+def test_a_short_log_of_another_version_has_no_snapshots(
+    grasp_ticks: tuple[RunHeader, TickList],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    tick_count: int,
+    has_equal_hashes: bool,
+) -> None:
+    """If the hash of the first state is equal, the states of the other version have the same fields."""
+    header, ticks = grasp_ticks
+    older_header = replace(header, metadata=header.metadata | {"code": "0123456789ab"})
+    hashes = {} if has_equal_hashes else {"state_hash": bytes(8)}
+    path = write_ticks(
+        tmp_path / "short.mcap",
+        older_header,
+        [(entry, out._replace(**hashes)) for entry, out in ticks[:tick_count]],
+    )
+    assert main(["replay", "execute", str(path)]) == (0 if has_equal_hashes else 4)
+    assert f"{tick_count} ticks, 0 differ" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("edits_frame", [False, True])
 def test_states_of_another_version_are_not_compared(
     grasp_ticks: tuple[RunHeader, TickList],

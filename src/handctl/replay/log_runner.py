@@ -328,14 +328,22 @@ def _has_comparable_states(log: RunLog, controller: Controller) -> bool:
     """Return True if the states of the logged controller have the same fields as the states of this version.
 
     If another version wrote the log, the first snapshot in the log shows the fields of its states.
-    The states of another version without snapshots are unknown.
+    In a log without snapshots, the hash of the first state must equal the hash of the computed
+    state.
     """
     if log.header.metadata.get("code") == code_identity():
         return True
-    first_snapshot = next(iter(log.snapshots.values()), b"")
+    first_snapshot = next(iter(log.snapshots.values()), None)
+    first_tick = next(log.ticks(), None)
     try:
-        restore_state(controller.derived_constants.layout, first_snapshot)
+        if first_snapshot is not None:
+            restore_state(controller.derived_constants.layout, first_snapshot)
+        elif first_tick is not None:
+            _, tick_output = controller.tick(controller.initial_state(), first_tick.tick_in)
+            return first_tick.state_hash == tick_output.state_hash
     except ValueError:
+        # The snapshot is from another version, or the controller refuses the first tick. In the
+        # latter case, the re-execution reports the refusal.
         return False
     return True
 
