@@ -72,7 +72,7 @@ MAX_COMPILER_PROCESSES = 8
 COMPILER_POLL_PERIOD_S = 0.1
 """Time between two checks of the progress of the compilation [s]."""
 
-_KERNEL_DISPATCHERS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
+_KERNEL_DISPATCHERS: "dict[str, _UncompiledKernel]" = {}
 """Dispatcher and argument types of each kernel, by name of the kernel."""
 _INNER_DISPATCHERS: list[Any] = []
 """Numba dispatchers of all functions that are called only by kernels."""
@@ -137,7 +137,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
             dispatcher,
             tuple(_NUMBA_TYPES[name] for name in arguments),
         )
-        _KERNEL_DISPATCHERS[uncompiled_kernel.name] = uncompiled_kernel[1:]
+        _KERNEL_DISPATCHERS[uncompiled_kernel.name] = uncompiled_kernel
         if not numba_config.DISABLE_JIT:
             dispatcher._compile_for_args = _first_compilation(uncompiled_kernel)
         return cast(F, dispatcher)
@@ -361,10 +361,9 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     """
     require_extra("a controller", "numba")
     report = progress or _ignore_progress
-    all_kernels = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
     uncompiled_kernels = [
         known_kernel
-        for known_kernel in all_kernels
+        for known_kernel in _KERNEL_DISPATCHERS.values()
         if not getattr(known_kernel.dispatcher, "signatures", True)
     ]
     if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(

@@ -47,17 +47,16 @@ def fast_loading() -> Iterator[None]:
     functions of ``numba.cfunc`` or ``numba.guvectorize``. If a function has no stored code, numba
     compiles the function as usual. Other threads cannot compile or load functions meanwhile.
     """
-    version: Any = numba.version_info
-    if version.short not in TESTED_NUMBA_VERSIONS:
-        with compiler_lock.global_compiler_lock:
-            yield
-        return
 
     def load_without_compiler(cache: Any, argument_types: Any, target_context: Any) -> Any:
         with _without_compiler(target_context):
             return original_load(cache, argument_types, target_context)
 
+    version: Any = numba.version_info
     with compiler_lock.global_compiler_lock:
+        if version.short not in TESTED_NUMBA_VERSIONS:
+            yield
+            return
         original_load = caching.Cache.load_overload
         caching.Cache.load_overload = load_without_compiler
         try:

@@ -68,16 +68,15 @@ def test_concurrent_processes_execute_every_tick_exactly_once(lock_file: IO[Any]
     first_segments_taken = fork.Barrier(4)
 
     def take_ticks(process: int) -> None:
+        taken_ranges = []
         start: int | None = process * 10
-        taken_ranges = [(start, ranges.take_segment(process))]
-        first_segments_taken.wait()
-        ranges.add_executed_ticks(process, 1)
-        start = taken_ranges[0][1]
         while start is not None:
             while (end := ranges.take_segment(process)) is not None:
                 taken_ranges.append((start, end))
                 start = end
                 ranges.add_executed_ticks(process, 1)
+                if len(taken_ranges) == 1:
+                    first_segments_taken.wait()
             start = ranges.take_over_range(process)
         results.put(taken_ranges)
 

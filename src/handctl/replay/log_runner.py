@@ -333,12 +333,11 @@ def _has_comparable_states(log: RunLog, controller: Controller) -> bool:
     """
     if log.header.metadata.get("code") == code_identity():
         return True
-    first_snapshot = next(iter(log.snapshots.values()), None)
-    first_tick = next(log.ticks(), None)
     try:
-        if first_snapshot is not None:
+        if log.snapshots:
+            first_snapshot = next(iter(log.snapshots.values()))
             restore_state(controller.derived_constants.layout, first_snapshot)
-        elif first_tick is not None:
+        elif (first_tick := next(log.ticks(), None)) is not None:
             _, tick_output = controller.tick(controller.initial_state(), first_tick.tick_in)
             return first_tick.state_hash == tick_output.state_hash
     except ValueError:

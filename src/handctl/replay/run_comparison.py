@@ -132,9 +132,8 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
     ] < MAX_UNEXPLAINED_FRACTION * np.var(signal_before[compared_rows]):
         return float("nan")
     variance_before, min_residual, variance_after = residual[best_index - 1 : best_index + 2]
-    if (
-        min_residual == 0.0
-    ):  # one signal is an exact copy of the other, so the shift needs no refinement
+    # If one signal is an exact copy of the other, the shift needs no refinement.
+    if min_residual == 0.0:
         return (best_index - max_shift) * period
     # The variable `curvature` is the second difference of the variance with respect to the shift.
     # If `curvature` is not positive, the minimum of the variance is flat, and the best time shift

@@ -214,25 +214,17 @@ def are_decisions_equal(logged_tick: TickRecord, computed_tick: TickOut) -> bool
     the identifiers, flags, buses and lengths of the frames. The texts of the events and the
     payloads of the frames are not compared, because they contain numbers.
     """
-    logged_events, computed_events = (
-        [event[:3] for event in events] for events in (logged_tick.events, computed_tick.events)
-    )
-    logged_frames, computed_frames = (
-        frames_as_records(frames).rows[:, ID_AND_FLAGS_WORD].tolist()
-        for frames in (logged_tick.frames, computed_tick.frames)
-    )
+    return _decisions_of_tick(logged_tick) == _decisions_of_tick(computed_tick)
+
+
+def _decisions_of_tick(tick: TickRecord | TickOut) -> tuple[object, ...]:
+    """Return the decisions of a tick, see `are_decisions_equal`."""
     return (
-        logged_tick.mode,
-        logged_tick.action,
-        logged_tick.phase,
-        logged_events,
-        logged_frames,
-    ) == (
-        computed_tick.mode,
-        computed_tick.action,
-        computed_tick.phase,
-        computed_events,
-        computed_frames,
+        tick.mode,
+        tick.action,
+        tick.phase,
+        [event[:3] for event in tick.events],
+        frames_as_records(tick.frames).rows[:, ID_AND_FLAGS_WORD].tolist(),
     )
 
 

@@ -73,8 +73,10 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> ExitCode:
         if args.within is None
         else is_within_tolerance(execution, args.within)
     )
+    exit_code = ExitCode.DONE if is_reproduced else ExitCode.FAILED
     # With a tolerance, the hashes of the states are not judged.
-    has_unknown_states = is_reproduced and args.within is None and not execution.compares_states
+    if is_reproduced and args.within is None and not execution.compares_states:
+        exit_code = ExitCode.NOT_COMPARABLE
     running_version = (version("handctl"), code_identity())
     version_and_code_hash = _version_and_code_hash(log)
     result = {
@@ -90,7 +92,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> ExitCode:
         if execution.first_state_difference
         else None,
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
-        "same": is_reproduced and not has_unknown_states,
+        "same": exit_code is ExitCode.DONE,
         "states_compared": execution.compares_states,
         "version": running_version[0],
         "version_logged": version_and_code_hash[0],
@@ -139,9 +141,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> ExitCode:
                 "all decisions are equal; if another machine wrote the log, "
                 "--within 1e-9 accepts differences by rounding"
             )
-    if has_unknown_states:
-        return ExitCode.NOT_COMPARABLE
-    return ExitCode.DONE if is_reproduced else ExitCode.FAILED
+    return exit_code
 
 
 def _time_range(args: argparse.Namespace, log: Any) -> tuple[float, float]:
