@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
 import handctl.gym
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene

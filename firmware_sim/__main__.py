@@ -3,7 +3,7 @@
 import sys
 
 from firmware_sim.command_line import check_words
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.printing import one_line_message
 
 EXTRA_PACKAGES = ("mujoco",)

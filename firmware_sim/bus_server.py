@@ -13,9 +13,9 @@ from typing import Protocol
 from firmware_sim.bus.bus_ports import BusPort
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.timed_port import TimedPort
+from firmware_sim.clock.realtime_priority import RealTimePriority
+from firmware_sim.clock.simulation_pace import PaceMeter
 from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket
-from firmware_sim.realtime_priority import RealTimePriority
-from firmware_sim.simulation_pace import PaceMeter
 
 MAX_ADVANCE_INTERVAL_NS = 1_000_000
 """Maximum time from one advance of the plant to the next, as plant time [ns]."""

@@ -7,7 +7,7 @@ from typing import Any
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import frames_to_records, records_to_frames
 from firmware_sim.bus.lockstep_buses import LockstepBuses
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.serial_numbers import with_serial_numbers

@@ -6,7 +6,7 @@ Two hands of the same design can be distinguished only by the serial numbers of 
 from collections.abc import Iterable
 from dataclasses import replace
 
-from firmware_sim.hand_description import Hand, SimulatorError
+from firmware_sim.description.hand_description import Hand, SimulatorError
 
 SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
 """Size of a drive's serial number, by protocol [bit].

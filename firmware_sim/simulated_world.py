@@ -16,8 +16,8 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import frames_to_records, records_to_frames
 from firmware_sim.compiled import structure_array, use_compiled_kernels
 from firmware_sim.compiled_nodes import CompiledNodes
+from firmware_sim.description.hand_description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.faults.active_faults import ActiveFaults
-from firmware_sim.hand_description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, noise, sensor_node
 from firmware_sim.nodes.cia404.node import LoadCellAmplifiers
 from firmware_sim.nodes.cyclic_kernels import NEVER_NS

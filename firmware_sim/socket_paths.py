@@ -6,7 +6,7 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 
 _PRIVATE_FOLDER_MODE = 0o700
 """File mode of a directory with access only for the owner."""

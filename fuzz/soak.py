@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from firmware_sim.description.hand_description import load_hand as load_simulated
 from firmware_sim.faults.fault_text import FAULT_KINDS, instances_of_component
-from firmware_sim.hand_description import load_hand as load_simulated
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher

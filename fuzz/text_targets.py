@@ -7,9 +7,9 @@ fault.
 from collections.abc import Callable
 from pathlib import Path
 
+from firmware_sim.description.hand_description import SimulatorError
+from firmware_sim.description.hand_description import load_hand as load_simulated_hand
 from firmware_sim.faults.fault_text import FAULT_KINDS, parse_fault
-from firmware_sim.hand_description import SimulatorError
-from firmware_sim.hand_description import load_hand as load_simulated_hand
 from fuzz.document_mutation import ByteSource
 from fuzz.file_targets import check_single_line_message
 from handctl.programs.requests import parse_request

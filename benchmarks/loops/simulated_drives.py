@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record
 from firmware_sim.bus.hub import BusHub
 from firmware_sim.bus.local_ports import split_records
+from firmware_sim.clock.realtime_priority import request_realtime_priority
 from firmware_sim.lockstep_hand import LockstepHand
-from firmware_sim.realtime_priority import request_realtime_priority
 
 CANFD_PAYLOAD_BYTES = 64
 LARGEST_MOTOR_ID = 0xFF

@@ -11,7 +11,7 @@ from typing import Protocol
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.local_ports import HubClientPort, HubPort
 from firmware_sim.bus.socketcan import SocketCanPort
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 
 VIRTUAL_INTERFACES = Path("/sys/devices/virtual/net")
 """Folder in which Linux lists the network interfaces without hardware, such as vcan0.

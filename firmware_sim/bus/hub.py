@@ -19,7 +19,7 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from firmware_sim.bus.frame import RECORD_SIZE
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.socket_paths import bus_path
 
 BUFFER_BYTES = 1 << 20

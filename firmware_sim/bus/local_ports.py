@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record, unpack_record
 from firmware_sim.bus.hub import BusHub, HubConnection
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.socket_paths import bus_path
 from firmware_sim.wire.simulated_wire import NEVER_NS
 

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Collection
 
 from firmware_sim.bus.frame import FDF, Frame
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.wire.simulated_wire import NEVER_NS
 
 _CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.description.hand_description import Hand, MotorSpec
 from firmware_sim.faults.faulty_drive import FaultyDrive
-from firmware_sim.hand_description import Hand, MotorSpec
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.plant.motor import Motor
 

@@ -8,11 +8,11 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 
 if TYPE_CHECKING:  # The program ``bus`` must not import the modules for faults and for the plant.
+    from firmware_sim.clock.simulation_pace import PaceMeter
     from firmware_sim.faults.active_faults import ActiveFaults
-    from firmware_sim.simulation_pace import PaceMeter
 
 MAX_REQUEST_BYTES = 4096
 """Maximum length of a request to the fault socket [bytes]."""

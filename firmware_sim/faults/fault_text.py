@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from firmware_sim.hand_description import Hand, SimulatorError
+from firmware_sim.description.hand_description import Hand, SimulatorError
 
 FAULT_TARGET_NODE = "node"
 """Type of a fault's target: a drive or the sensor node."""

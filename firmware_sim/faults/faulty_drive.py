@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import MotorSpec, SimulatorError
+from firmware_sim.description.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.protocol_spec import (
     DriveNode,

@@ -21,7 +21,7 @@ import enum
 import math
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.mit.codec import MitRanges, decode_command, value_to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
 SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)

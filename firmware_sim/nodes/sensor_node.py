@@ -27,7 +27,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.compiled import compiled, kernel_helper
-from firmware_sim.hand_description import SensorSpec
+from firmware_sim.description.hand_description import SensorSpec
 from firmware_sim.nodes.noise import NormalNoise
 
 CHANNELS_PER_FRAME = 5

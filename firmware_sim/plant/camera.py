@@ -8,7 +8,7 @@ import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.hand_description import Hand, SimulatorError
+from firmware_sim.description.hand_description import Hand, SimulatorError
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.scene.scene import Scene

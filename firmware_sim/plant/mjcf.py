@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from firmware_sim.hand_description import Digit, Hand, LinkMesh, TendonSpec
+from firmware_sim.description.hand_description import Digit, Hand, LinkMesh, TendonSpec
 from firmware_sim.scene.scene import GraspObject, Scene, SinkingTable
 
 STEP_S = 0.5e-3

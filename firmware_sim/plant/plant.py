@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import array_addresses, code_of_kernel, compile_module_kernels
-from firmware_sim.hand_description import Hand, SimulatorError
+from firmware_sim.description.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits, sink_direction
 from firmware_sim.plant.motor import Motor, motor_rows, time_step_factors

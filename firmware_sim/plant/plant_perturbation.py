@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from firmware_sim.hand_description import (
+from firmware_sim.description.hand_description import (
     Digit,
     Hand,
     MotorSpec,

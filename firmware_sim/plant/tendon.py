@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import structure_array
-from firmware_sim.hand_description import MOMENT_ARM_COEFFICIENT_COUNT, TendonSpec
+from firmware_sim.description.hand_description import MOMENT_ARM_COEFFICIENT_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
 PRISMATIC_FLAG_INDEX = 4 + MOMENT_ARM_COEFFICIENT_COUNT

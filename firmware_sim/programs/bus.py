@@ -4,9 +4,9 @@ import select
 
 from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_factory
+from firmware_sim.clock.shared_clock import SharedClock
 from firmware_sim.command_line import CommandParser, stop_on_signal
 from firmware_sim.printing import printable_text
-from firmware_sim.shared_clock import SharedClock
 
 _POLL_PERIOD_S = 0.2
 """Period with which the program checks for a stop signal [s]."""

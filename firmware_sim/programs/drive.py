@@ -8,7 +8,9 @@ from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_factory
 from firmware_sim.bus_server import BusServer
+from firmware_sim.clock.shared_clock import SharedClock
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
+from firmware_sim.description.hand_description import MotorSpec, SimulatorError
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
 from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket, is_socket_served
@@ -18,7 +20,6 @@ from firmware_sim.faults.faulty_drive import (
     motor_specs_with_fault,
     with_fault,
 )
-from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
 from firmware_sim.nodes.mit.node import (
@@ -37,7 +38,6 @@ from firmware_sim.programs.drive_types import (
     ROBSTRIDE_MOTOR_TYPES,
     drive_spec,
 )
-from firmware_sim.shared_clock import SharedClock
 from firmware_sim.socket_paths import faults_path
 
 STEP_NS = 1_000_000

@@ -4,7 +4,7 @@ Identifiers, ranges and timing are as the manufacturer delivers them. The shaft 
 free.
 """
 
-from firmware_sim.hand_description import MotorSpec, SimulatorError
+from firmware_sim.description.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench

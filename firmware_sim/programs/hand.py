@@ -11,15 +11,15 @@ from typing import Any
 from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_local_bus, open_port
 from firmware_sim.bus.timed_port import timed_port_factory
 from firmware_sim.bus_server import BusServer
+from firmware_sim.clock.realtime_priority import RealTimePriority
+from firmware_sim.clock.shared_clock import SharedClock
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket
-from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
 from firmware_sim.printing import printable_text
-from firmware_sim.realtime_priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged_scenes
 from firmware_sim.serial_numbers import with_serial_numbers
-from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld, make_world
 from firmware_sim.socket_paths import clock_path, faults_path, truth_path
 from firmware_sim.truth_file import MAX_UNNAMED_FILE_BYTES, TruthWriter

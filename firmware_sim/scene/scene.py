@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.scene.stage_sequence import SceneStage, read_stage
 
 OBJECT_SHAPES = ("cylinder", "sphere", "box")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, NO_LATENCY_CLASS, AdapterLatency
 from firmware_sim.wire.frame_bits import BitRates
 from firmware_sim.wire.simulated_wire import WireOptions

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from firmware_sim.model_file import read_model_file
+from firmware_sim.description.model_file import read_model_file
 from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
 from handctl.cli.runs.protocol_hand_file import use_protocol_hand_file

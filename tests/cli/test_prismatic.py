@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
-from firmware_sim.hand_description import load_hand as simulated_hand
+from firmware_sim.description.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth_file import truth_columns

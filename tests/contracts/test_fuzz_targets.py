@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mcap.opcode import Opcode
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from fuzz import file_targets, frame_targets, fuzz_without_coverage, log_targets, text_targets
 from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
 from fuzz.fuzzed_drives import FUZZED_DRIVES

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.faults.fault_text import parse_fault
-from firmware_sim.hand_description import load_hand
 from handctl.campaign import fault_sequences
 from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_FAULT_PREFIX
 from handctl.campaign.fault_sequences import (

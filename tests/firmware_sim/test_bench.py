@@ -8,8 +8,8 @@ import pytest
 
 from firmware_sim.__main__ import main
 from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
-from firmware_sim.hand_description import SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.nodes.mit import bench as mit_bench

@@ -24,7 +24,7 @@ from firmware_sim.bus.frame import (
     pack_record,
     unpack_record,
 )
-from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
 from handctl.hand.hand_loading import load_hand as described

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import load_scene

@@ -9,6 +9,7 @@ import contextlib
 import pytest
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.faults.fault_text import (
     DRIVE_ONLY_FAULTS,
     FAULT_KINDS,
@@ -16,7 +17,6 @@ from firmware_sim.faults.fault_text import (
     instances_of_component,
     parse_fault,
 )
-from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 
 JAMIA_HAND = load_hand("jamia")

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.bus.hub import BusHub
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.socket_paths import bus_path, run_dir, truth_path
 
 RECORD_BYTES = 72

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene

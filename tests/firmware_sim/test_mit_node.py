@@ -8,7 +8,7 @@ import struct
 import pytest
 
 from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, Frame
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor

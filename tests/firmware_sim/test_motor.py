@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.plant.drivetrain import COULOMB_SPEED_RAD_PER_S, ENCODER_STEP_RAD
 from firmware_sim.plant.motor import CURRENT_LAG_S, Motor
 

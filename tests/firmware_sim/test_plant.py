@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import Hand, SimulatorError, load_hand
+from firmware_sim.description.hand_description import Hand, SimulatorError, load_hand
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.plant import Plant
 from firmware_sim.plant.plant_perturbation import perturbed_hand

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.__main__ import main
-from firmware_sim.hand_description import SimulatorError, find_hand
+from firmware_sim.description.hand_description import SimulatorError, find_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.truth_file import read_truth
 

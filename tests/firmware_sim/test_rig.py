@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.truth_file import read_truth
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import SensorSpec, load_hand
+from firmware_sim.description.hand_description import SensorSpec, load_hand
 from firmware_sim.nodes.noise import NOISE_BLOCK_SIZE, NormalNoise
 from firmware_sim.nodes.sensor_node import SensorNode, joint_code, pack, tension_code
 

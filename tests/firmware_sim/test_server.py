@@ -14,12 +14,12 @@ from firmware_sim.bus.bus_ports import assign_buses, open_port
 from firmware_sim.bus.frame import FDF, Frame, pack_record
 from firmware_sim.bus.local_ports import HubClientPort, HubPort
 from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_DELAY_NS, BusServer
-from firmware_sim.hand_description import SimulatorError, load_hand
-from firmware_sim.realtime_priority import ORDINARY_PRIORITY_DURATION_S, RealTimePriority
+from firmware_sim.clock.realtime_priority import ORDINARY_PRIORITY_DURATION_S, RealTimePriority
+from firmware_sim.clock.shared_clock import SharedClock
+from firmware_sim.clock.simulation_pace import PaceMeter, round_pace_down
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld
-from firmware_sim.simulation_pace import PaceMeter, round_pace_down
 from tests.firmware_sim.manual_clock import ManualClock
 
 NS_PER_MS = 1_000_000

@@ -12,7 +12,7 @@ import pytest
 
 from firmware_sim.bus.frame import BRS, FDF, Frame
 from firmware_sim.bus.socketcan import SocketCanPort
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 
 CLASSICAL_FRAME_BYTES = bytes.fromhex("23010000 03 000000 0102030000000000")
 FD_FRAME_BYTES = bytes.fromhex("debc1a80 0c 05 0000") + bytes(range(12)) + bytes(52)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.scene.stage_sequence import StageSequence, read_stage

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.hand_description import TendonSpec, load_hand
+from firmware_sim.description.hand_description import TendonSpec, load_hand
 from firmware_sim.plant.drivetrain import step_drivetrain, tensions
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting

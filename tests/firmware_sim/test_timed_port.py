@@ -12,7 +12,7 @@ import pytest
 from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, TimedPort, timed_port_factory
 from firmware_sim.bus_server import BusServer
-from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.description.hand_description import SimulatorError, load_hand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.simulated_world import SimulatedWorld
 from handctl.drives.frame import Frame

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.plant.drivetrain import _wrapped_tendon_length, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from firmware_sim.hand_description import load_hand as simulated
+from firmware_sim.description.hand_description import load_hand as simulated
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.templates import resolve_templates

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from firmware_sim.hand_description import load_hand as simulated_hand
+from firmware_sim.description.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.mjcf import COLLISION_GEOM_GROUP, VISUAL_GEOM_GROUP, model_text
 from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError

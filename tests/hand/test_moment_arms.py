@@ -7,7 +7,7 @@ check that handctl reports mistakes in the moment arms of a hand file.
 import numpy as np
 import pytest
 
-from firmware_sim.hand_description import load_hand as load_simulated
+from firmware_sim.description.hand_description import load_hand as load_simulated
 from firmware_sim.plant.drivetrain import _moment_arm_at, _wrapped_tendon_length
 from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError

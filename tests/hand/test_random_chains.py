@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from firmware_sim.hand_description import load_hand as simulated_hand
+from firmware_sim.description.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.scene.scene import load_scene
 from handctl.core.estimation.tip_force import joint_lever

@@ -22,7 +22,7 @@ import pytest
 
 from firmware_sim import socket_paths as simulated
 from firmware_sim.bus.hub import BusHub
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request

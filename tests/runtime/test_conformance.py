@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.description.hand_description import SimulatorError
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, check_fault_has_effect
-from firmware_sim.hand_description import SimulatorError
 from handctl.drives.contract import DriveTarget
 from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.runtime.diagnostics.conformance import (

@@ -12,8 +12,8 @@ from contextlib import closing
 
 import pytest
 
-from firmware_sim import shared_clock as simulated
 from firmware_sim.bus.bus_ports import is_local_bus
+from firmware_sim.clock import shared_clock as simulated
 from handctl.runtime.clocks import shared_clock
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher

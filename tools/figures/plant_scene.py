@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.hand_description import load_hand
+from firmware_sim.description.hand_description import load_hand
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.scene.scene import load_scene
 from handctl.log.read.reader import RunLog

@@ -30,7 +30,7 @@ Choices of this simulator where the fact sheet is not definite:
 """
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.cia402.kernels import (
     CYCLIC_TORQUE_MODE,
     OPERATIONAL_STATE,

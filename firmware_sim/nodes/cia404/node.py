@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
-from firmware_sim.hand_description import SensorSpec
+from firmware_sim.description.hand_description import SensorSpec
 from firmware_sim.nodes.cia402.object_dictionary import (
     ABORT_UNKNOWN_COMMAND,
     ABORT_WRONG_STATE,

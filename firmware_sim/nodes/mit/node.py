@@ -31,7 +31,7 @@ import math
 import struct
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures, ThermalStruct
 from firmware_sim.nodes.mit import registers as reg
 from firmware_sim.nodes.mit.codec import (

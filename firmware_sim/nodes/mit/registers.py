@@ -6,7 +6,7 @@ Source: fact sheet mit_damiao.
 import math
 import struct
 
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 
 KT = 1
 """Register: torque constant [N m/A]."""

@@ -24,7 +24,7 @@ import math
 import struct
 
 from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.moteus import multiplex as mp
 from firmware_sim.nodes.moteus import registers as reg

@@ -50,7 +50,7 @@ import struct
 from typing import Any
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,

@@ -31,7 +31,7 @@ Choices of this simulator where the fact sheet has only an assumption:
 import struct
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.description.hand_description import MotorSpec
 from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, MitRanges, decode_command, value_to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench

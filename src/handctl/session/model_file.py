@@ -10,7 +10,7 @@ from typing import Any
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import load_simulator_object
 
-MODEL_FILE_READER = "firmware_sim.model_file:read_model_file"
+MODEL_FILE_READER = "firmware_sim.description.model_file:read_model_file"
 """Module and name of the simulator's function that reads a robot description.
 
 The docstring of that function describes the result.

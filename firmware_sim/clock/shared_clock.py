@@ -23,7 +23,7 @@ import time
 from array import array
 from pathlib import Path
 
-from firmware_sim.hand_description import SimulatorError
+from firmware_sim.description.hand_description import SimulatorError
 
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5

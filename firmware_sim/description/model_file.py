@@ -12,8 +12,8 @@ from xml.etree import ElementTree as ET
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-from firmware_sim.hand_description import SimulatorError
-from firmware_sim.model_meshes import (
+from firmware_sim.description.hand_description import SimulatorError
+from firmware_sim.description.model_meshes import (
     BodyMesh,
     mjcf_meshes,
     rotation_of_quaternion,
