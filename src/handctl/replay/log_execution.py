@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +46,8 @@ class LogExecution:
             in the log, or None if all snapshots are equal.
         largest_difference: the largest difference of a number, measured by `relative_error`. The
             value is None if there is no difference.
-        wall_s: time that the re-execution took, without the time for the design of the gains [s].
+        wall_s: time until the result of the re-execution existed, without the time for the design of
+            the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
             need this processor time for the whole re-execution.
         logged_duration_s: duration of the executed part of the run [s].
@@ -113,16 +114,16 @@ def execute_log(
     part = runner.part_of_time_range(from_s, until_s)
     start = time.perf_counter()
     cpu_start = _cpu_seconds()
-    with gc_disabled():
+    with gc_disabled(), ExitStack() as stack:
         if worker_count > 1 and not gains and not observer:
             difference_tally = run_parallel(
-                runner, part, worker_count, progress or _ignore_progress
+                runner, part, worker_count, progress or _ignore_progress, stack
             )
         else:
             _, difference_tally = runner.execute_log_part(
                 *part, observer, count_progress(progress) if progress else None
             )
-    wall_time_s = time.perf_counter() - start
+        wall_time_s = time.perf_counter() - start
     cpu_time_s = _cpu_seconds() - cpu_start
     times = log.times[part.start : part.stop]
     start_time_s = float(times[0]) if len(times) else 0.0
