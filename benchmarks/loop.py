@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,6 +24,8 @@ LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
 AT_RATE_DURATION_S = {500.0: 30.0, 1000.0: 60.0}
 """Duration of the measurement with eleven motors at each fixed rate [s], by the rate [Hz]."""
+AT_RATE_PAIRS = 3
+"""Number of pairs of alternating measurements at each fixed rate."""
 MEASUREMENT_PAIRS = 5
 """Number of pairs of alternating measurements whose medians are compared."""
 RATE_REDUCTION_FACTOR = 0.85
@@ -61,6 +63,7 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
     The results also include the behaviour at fixed control rates.
     """
     result: dict = {"motors": {}}
+    pairs = 1 if quick else MEASUREMENT_PAIRS
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
             if motors == 4:
@@ -77,19 +80,21 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: {
-                        loop_kind: measure_in_child_process(
-                            loop_kind, hand, bus, 2 * duration_s if quick else long_s, rate
-                        )
-                        for loop_kind in ("ours", "bare_spin")
-                    }
+                    rate: measure_in_turn(
+                        ("ours", "bare_spin"),
+                        hand,
+                        bus,
+                        2 * duration_s if quick else long_s,
+                        rate,
+                        1 if quick else AT_RATE_PAIRS,
+                    )
                     for rate, long_s in AT_RATE_DURATION_S.items()
                 }
                 # In some seconds, the host of a virtual machine makes every loop late. Only the
                 # medians of several measurements can be compared.
                 with both_cores_loaded():
                     loaded = measure_in_turn(
-                        ("ours", "bare_spin"), hand, bus, 2 * duration_s, LATENESS_RATE_HZ, quick
+                        ("ours", "bare_spin"), hand, bus, 2 * duration_s, LATENESS_RATE_HZ, pairs
                     )
                 result["loaded_us"] = {
                     loop_kind: [outcome["late_us"] for outcome in outcomes]
@@ -105,11 +110,11 @@ def measure_in_turn(
     bus_name: str,
     duration_s: float,
     rate_hz: float,
-    quick: bool,
+    rounds: int,
 ) -> dict[str, list[dict]]:
-    """Measure several control loops in turn, ``MEASUREMENT_PAIRS`` times, and return all results of each loop."""
+    """Measure several control loops in turn, each ``rounds`` times, and return all results of each loop."""
     outcomes: dict[str, list[dict]] = {name: [] for name in loop_names}
-    for _ in range(1 if quick else MEASUREMENT_PAIRS):
+    for _ in range(rounds):
         for name, rows in outcomes.items():
             rows.append(measure_in_child_process(name, hand_name, bus_name, duration_s, rate_hz))
     return outcomes
@@ -121,7 +126,8 @@ def measure_max_rates(hand_name: str, bus_name: str, duration_s: float, quick: b
     Without deadlines, the measurements of the two loops alternate, and each ratio is the ratio of
     two consecutive measurements. The result has the medians.
     """
-    outcomes = measure_in_turn(LOOP_MODULE_BY_NAME, hand_name, bus_name, duration_s, 0.0, quick)
+    pairs = 1 if quick else MEASUREMENT_PAIRS
+    outcomes = measure_in_turn(LOOP_MODULE_BY_NAME, hand_name, bus_name, duration_s, 0.0, pairs)
     free_rates = {name: [row["hz"] for row in rows] for name, rows in outcomes.items()}
     result: dict = {}
     for name, rates in free_rates.items():
@@ -216,24 +222,29 @@ def percentiles_us(times_ns: list[int]) -> dict:
 
 
 def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late the controller's clock returns from its waits for deadlines.
+    """Measure how late the controller's clock returns from its waits for deadlines."""
+    lateness_ns = list(bare_spin_lateness(duration_s, rate_hz))
+    return rate_hz, 1.0 - len(lateness_ns) / int(duration_s * rate_hz), lateness_ns
 
-    In each tick, the function only waits for the deadline. The clock sleeps until shortly before a
-    deadline. With real-time priority, the clock polls from the end of the sleep until the deadline.
+
+def bare_spin_lateness(duration_s: float, rate_hz: float) -> Iterator[int]:
+    """Yield the lateness of each tick of a loop that only waits for its deadlines [ns].
+
+    The clock sleeps until shortly before a deadline. With real-time priority, the clock polls from
+    the end of the sleep until the deadline.
     """
     from handctl.runtime.clocks.real_clock import RealClock
     from handctl.runtime.clocks.realtime_priority import request_priority
 
-    clock = RealClock(round(1e9 / rate_hz))
+    period_ns = round(1e9 / rate_hz)
+    clock = RealClock(period_ns)
     clock.busy_wait = request_priority().is_realtime
     clock.start()
-    lateness_ns = []
-    tick_count = int(duration_s * rate_hz)
     k = 1
-    while k <= tick_count:
-        lateness_ns.append(clock.wait(k))
-        k += 1 + lateness_ns[-1] // round(1e9 / rate_hz)
-    return rate_hz, 1.0 - len(lateness_ns) / tick_count, lateness_ns
+    while k <= int(duration_s * rate_hz):
+        lateness_ns = clock.wait(k)
+        yield lateness_ns
+        k += 1 + lateness_ns // period_ns
 
 
 @contextmanager
@@ -299,17 +310,7 @@ def print_results(result: dict) -> None:
         print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in medians))
         print("    p99.9 of each run:", ", ".join(f"{row['p99_9']:.0f}" for row in rows))
     for rate, rows in result["at_rate"].items():
-        row, bare = rows["ours"], rows["bare_spin"]
-        if "tick_us" not in row:
-            print(f"11 motors at {rate:g} Hz: {row['failure']}")
-            continue
-        tick = row["tick_us"]
-        print(
-            f"11 motors at {rate:g} Hz: {100 * row['cpu']:.0f} % of a core, "
-            f"a tick {tick['p50']:.0f} us, p99 {tick['p99']:.0f} us; "
-            f"{1e6 * row['missed']:.0f} of a million ticks missed, at most {row['late_us']['max']:.0f} us late "
-            f"(bare sleep and spin: {1e6 * bare['missed']:.0f}, {bare['late_us']['max']:.0f} us)"
-        )
+        print_fixed_rate(rate, rows["ours"], rows["bare_spin"])
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
@@ -320,6 +321,26 @@ def print_results(result: dict) -> None:
             )
         pairs = ", ".join(f"{ratio:.2f}" for ratio in rates["free_hz_pair_ratios"])
         print(f"  {motors:>2} motors, free, ratios of the pairs: {pairs}")
+
+
+def print_fixed_rate(rate_hz: float, ours: list[dict], bare: list[dict]) -> None:
+    """Print the results of alternating measurements of both loops at a fixed rate: medians, and all missed ticks."""
+    failures = [row["failure"] for row in ours if "failure" in row]
+    if failures:
+        print(f"11 motors at {rate_hz:g} Hz: {failures[0]}")
+        return
+    tick_us = {
+        key: statistics.median(row["tick_us"][key] for row in ours) for key in ("p50", "p99")
+    }
+    cpu = statistics.median(row["cpu"] for row in ours)
+    print(
+        f"11 motors at {rate_hz:g} Hz: {100 * cpu:.0f} % of a core, "
+        f"a tick {tick_us['p50']:.0f} us, p99 {tick_us['p99']:.0f} us   (medians)"
+    )
+    for label, rows in (("handctl", ours), ("bare sleep and spin", bare)):
+        missed = ", ".join(f"{1e6 * row['missed']:.0f}" for row in rows)
+        latest_us = max(row["late_us"]["max"] for row in rows)
+        print(f"  {label:<24}missed of a million ticks: {missed}; at most {latest_us:.0f} us late")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,11 @@
 deadlines at 1 kHz, with the clock and the priority of the control loop. A wake-up counts as late if
 it comes more than 0.3 ms after its deadline. The benchmark shows how much of the lateness of a
 control loop comes from the computer itself.
+
+A host can limit the processor time of a virtual machine. Linux counts the time in periods of 100 ms
+(``cpu.max`` of a control group), and a virtual machine that has reached its limit stands still until
+the end of the period. With such a limit, the late wake-ups are at nearly the same place in each
+period. The benchmark counts the late wake-ups in the fullest 2 ms of the period.
 """
 
 import argparse
@@ -11,14 +16,22 @@ import json
 import os
 import subprocess
 import sys
+import time
 
-from loop import measure_bare_spin
+from loop import bare_spin_lateness
 
-from handctl.runtime.clocks.realtime_priority import keep_processors_awake
+from handctl.runtime.clocks.awake_processors import AwakeProcessors
 
 RATE_HZ = 1000.0
 LATE_NS = 300_000
 """Delay above which a wake-up counts as late [ns]."""
+LIMIT_PERIOD_MS = 100.0
+"""Period in which Linux counts the processor time of a control group, if nobody has changed it [ms]."""
+SAME_PLACE_MS = 2.0
+"""Width of the part of a period in which late wake-ups count as being at the same place [ms].
+
+The clocks of host and virtual machine drift apart by 0.02 ms in a second.
+"""
 PAIRS = 2
 """Number of pairs of measurements with processors awake and asleep."""
 
@@ -36,21 +49,24 @@ def main() -> None:
     result = {"awake": [], "asleep": []}
     for _ in range(PAIRS):
         result["asleep"].append(measure_all_cores(args.seconds))
-        with keep_processors_awake() as is_awake:
+        with AwakeProcessors().keep_awake() as is_awake:
             if is_awake:
                 result["awake"].append(measure_all_cores(args.seconds))
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure_on_core(core: int, seconds: float) -> list[float]:
-    """Wait for deadlines on one core. Return the delay of each late wake-up [ms]."""
+def measure_on_core(core: int, seconds: float) -> list[tuple[float, float]]:
+    """Wait for deadlines on one core. Return the delay and the time of each late wake-up [ms]."""
     os.sched_setaffinity(0, {core})
-    _, _, lateness_ns = measure_bare_spin(seconds, RATE_HZ)
-    return [late_ns / 1e6 for late_ns in lateness_ns if late_ns > LATE_NS]
+    return [
+        (late_ns / 1e6, time.monotonic_ns() / 1e6)
+        for late_ns in bare_spin_lateness(seconds, RATE_HZ)
+        if late_ns > LATE_NS
+    ]
 
 
-def measure_all_cores(seconds: float) -> list[list[float]]:
-    """Measure on all cores at the same time. Return the delays of the late wake-ups of each core [ms]."""
+def measure_all_cores(seconds: float) -> list[list[tuple[float, float]]]:
+    """Measure on all cores at the same time. Return the late wake-ups of each core, see ``measure_on_core``."""
     processes = [
         subprocess.Popen(
             [sys.executable, __file__, "--core", str(core), "--seconds", str(seconds)],
@@ -62,15 +78,27 @@ def measure_all_cores(seconds: float) -> list[list[float]]:
     return [json.loads(process.communicate()[0]) for process in processes]
 
 
+def count_at_same_place(times_ms: list[float]) -> int:
+    """Return the largest number of times within ``SAME_PLACE_MS`` of a period of ``LIMIT_PERIOD_MS``."""
+    return max(
+        (
+            sum((other - start) % LIMIT_PERIOD_MS < SAME_PLACE_MS for other in times_ms)
+            for start in times_ms
+        ),
+        default=0,
+    )
+
+
 def print_results(result: dict) -> None:
-    """Print the number and the largest delay of the late wake-ups as text."""
+    """Print the number, the largest delay and the place in the period of the late wake-ups as text."""
     for state, runs in result.items():
         for cores in runs:
-            late = [delay_ms for core in cores for delay_ms in core]
+            delays_ms = [delay_ms for core in cores for delay_ms, _ in core]
+            same_place = count_at_same_place([time_ms for core in cores for _, time_ms in core])
             numbers = ", ".join(str(len(core)) for core in cores)
             print(
                 f"processors {state}: late wake-ups of each core {numbers}; "
-                f"at most {max(late, default=0.0):.1f} ms late"
+                f"at most {max(delays_ms, default=0.0):.1f} ms late; {same_place} at the same place of 100 ms"
             )
 
 

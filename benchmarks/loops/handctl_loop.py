@@ -17,8 +17,9 @@ from handctl.log.tick_packing import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 from handctl.runtime.buses.bus_opening import open_bus
+from handctl.runtime.clocks.awake_processors import AwakeProcessors
 from handctl.runtime.clocks.real_clock import RealClock
-from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
+from handctl.runtime.clocks.realtime_priority import request_priority
 from handctl.runtime.clocks.rehearsal import rehearsal_for_period
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
@@ -93,8 +94,10 @@ def run_loop(
     bus = open_bus(plan.buses[0], 0, 1_000_000)
     clock = RealClock(plan.period_ns) if rate_hz else ReplyDrivenClock(bus.fileno())
     priority = request_priority()
+    processors = AwakeProcessors()
     if rate_hz:
         clock.busy_wait = priority.is_realtime
+        clock.sleep_for = processors.sleep
     attachments = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
         log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=attachments)
@@ -118,7 +121,7 @@ def run_loop(
     record_snapshot = snapshot_recorder(recorder) if rate_hz else lambda entry, state: None
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin_tick, cut_frames, counter.requests,
-        lambda: list(recorder.take_events()), record, counter, tick_priority=keep_processors_awake,
+        lambda: list(recorder.take_events()), record, counter, tick_priority=processors.keep_awake,
         record_snapshot=record_snapshot,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:

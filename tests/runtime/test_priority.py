@@ -76,31 +76,6 @@ def test_only_ticks_have_realtime_priority() -> None:
     assert scheduling_policy() == os.SCHED_OTHER
 
 
-def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:
-    """Processors must not enter a sleep state during ticks.
-
-    In a virtual machine, an idle processor needs a millisecond to wake up.
-    """
-    latency = tmp_path / "cpu_dma_latency"
-    latency.touch()
-    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(latency))
-    assert str(latency) not in open_files()
-    with realtime_priority.realtime_priority():
-        assert str(latency) in open_files()
-        assert latency.read_bytes() == bytes(4)
-    assert str(latency) not in open_files()
-    assert realtime_priority.prepare_priority().are_processors_awake
-    restore_priority()
-
-
-def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(tmp_path / "absent"))
-    with realtime_priority.keep_processors_awake() as awake:
-        assert not awake
-    assert not realtime_priority.prepare_priority().are_processors_awake
-    restore_priority()
-
-
 def test_all_libraries_except_the_compiler_are_loaded() -> None:
     """Reproduce a waste: the lock of the memory loaded 150 MB of the compiler, which no tick uses.
 

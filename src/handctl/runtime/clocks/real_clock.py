@@ -7,6 +7,7 @@ The module ``lockstep`` contains another clock, for virtual time.
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -66,6 +67,8 @@ class RealClock:
             readings are useful only with real-time priority.
         rehearsal: rehearsal of each tick before its deadline, or None. A rehearsal is useful only
             with ``busy_wait``.
+        sleep_for: function that sleeps for a number of seconds. With
+            ``awake_processors.AwakeProcessors.sleep``, the idle processors sometimes sleep as well.
         wake_up_delay: expected delay of the next wake-up of the process.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pause_count: number of pauses of the clock so far. Only the shared clock can pause.
@@ -76,6 +79,7 @@ class RealClock:
     time_scale: float = 1.0
     busy_wait: bool = False
     rehearsal: Rehearsal | None = None
+    sleep_for: Callable[[float], None] = field(default_factory=lambda: time.sleep)
     wake_up_delay: ExpectedTime = field(
         default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
     )
@@ -122,7 +126,7 @@ class RealClock:
         lead_ns = max(lead_ns, rehearsal_lead_ns)
         waiting_ns = deadline_ns - self._read_clock_ns() - lead_ns
         if waiting_ns > 0:
-            time.sleep(waiting_ns / 1e9)
+            self.sleep_for(waiting_ns / 1e9)
         if lead_ns:
             remaining_ns = deadline_ns - self._read_clock_ns()
             if waiting_ns > 0:

@@ -1,7 +1,4 @@
-"""Real-time priority and locked memory for the process of the controller.
-
-The functions of this module can also keep idle processors awake.
-"""
+"""Real-time priority and locked memory for the process of the controller."""
 
 import ctypes
 import os
@@ -11,10 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-CPU_LATENCY_FILE = "/dev/cpu_dma_latency"
-"""File through which a process tells Linux how fast idle processors must wake up."""
-ZERO_CPU_LATENCY = bytes(4)
-"""Wake-up time of 0 us to write into ``CPU_LATENCY_FILE``, as a 32-bit integer."""
+from handctl.runtime.clocks.awake_processors import AwakeProcessors
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,42 +58,26 @@ def prepare_priority() -> GrantedPriority:
     priority, so that other processes can use the core.
     """
     is_memory_locked = _lock_memory()
-    with realtime_priority() as granted_priority, keep_processors_awake() as are_processors_awake:
-        return GrantedPriority(granted_priority, is_memory_locked, are_processors_awake)
+    with realtime_priority() as granted_priority, AwakeProcessors().keep_awake() as is_awake:
+        return GrantedPriority(granted_priority, is_memory_locked, is_awake)
 
 
 @contextmanager
-def realtime_priority(level: int = 60) -> Iterator[bool]:
+def realtime_priority(level: int = 60, processors: AwakeProcessors | None = None) -> Iterator[bool]:
     """Run a ``with`` block under SCHED_FIFO on awake processors.
 
     Yield True if the system has granted SCHED_FIFO.
+
+    Args:
+        level: priority within SCHED_FIFO.
+        processors: processors that stay awake. None means that the processors never sleep in the
+            ``with`` block.
     """
     try:
-        with keep_processors_awake():
+        with (processors or AwakeProcessors()).keep_awake():
             yield _set_fifo_scheduling(level)
     finally:
         _restore_scheduling()
-
-
-@contextmanager
-def keep_processors_awake() -> Iterator[bool]:
-    """Keep idle processors awake during a ``with`` block.
-
-    Yield True if the system permits that processors stay awake. Without the permission of the
-    system, idle processors sleep. A sleeping processor can take a millisecond to wake up, above all
-    in a virtual machine. Idle processors stay awake as long as a process keeps ``CPU_LATENCY_FILE``
-    open after writing a latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
-    """
-    try:
-        descriptor = os.open(CPU_LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
-    except OSError:
-        yield False
-        return
-    try:
-        os.write(descriptor, ZERO_CPU_LATENCY)
-        yield True
-    finally:
-        os.close(descriptor)
 
 
 def restore_priority() -> None:

@@ -1,0 +1,91 @@
+"""Request to Linux that idle processors stay awake while the control loop runs.
+
+A sleeping processor can take a millisecond to wake up. After the sleep, its caches can contain the
+data of other programs. For these reasons, idle processors stay awake during a run.
+
+In a virtual machine, an awake processor uses a processor of the host all the time. Many hosts limit
+the processor time of a virtual machine. A host with the limit of Linux (``cpu.max`` of a control
+group) counts the processor time in periods of 100 ms, and stops a virtual machine that has reached
+the limit until the end of the period. To stay below the limit, idle processors sleep in a small
+share of the ticks. The page "Speed" of the documentation contains the measurements.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+CPU_LATENCY_FILE = "/dev/cpu_dma_latency"
+"""File through which a process tells Linux how fast idle processors must wake up."""
+ZERO_LATENCY = bytes(4)
+"""Wake-up time of 0 us to write into ``CPU_LATENCY_FILE``, as a 32-bit integer."""
+ANY_LATENCY = (2_000_000_000).to_bytes(4, "little")
+"""Wake-up time without a limit. Source: Linux ``pm_qos.h``, PM_QOS_CPU_LATENCY_DEFAULT_VALUE."""
+TICKS_PER_SLEEP = 8
+"""In a virtual machine, idle processors sleep before one of ``TICKS_PER_SLEEP`` ticks."""
+PROCESSOR_FILE = Path("/proc/cpuinfo")
+"""File in which Linux describes the processors."""
+
+
+def is_virtual_machine() -> bool:
+    """Return True if the processor reports a hypervisor.
+
+    Only x86 processors report a hypervisor in the file ``PROCESSOR_FILE``. On other processors, the
+    result is False.
+    """
+    try:
+        lines = PROCESSOR_FILE.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return False
+    return any(line.startswith("flags") and "hypervisor" in line.split() for line in lines)
+
+
+class AwakeProcessors:
+    """Idle processors that stay awake during a run, if the system permits it."""
+
+    def __init__(self) -> None:
+        """Leave the processors as they are until :meth:`keep_awake`."""
+        self._is_virtual_machine = is_virtual_machine()
+        self._descriptor: int | None = None
+        self._sleep_count = 0
+
+    @contextmanager
+    def keep_awake(self) -> Iterator[bool]:
+        """Keep idle processors awake during a ``with`` block.
+
+        Yield True if the system permits that processors stay awake. Idle processors stay awake as
+        long as a process keeps ``CPU_LATENCY_FILE`` open after writing a latency of 0. Source:
+        Linux, Documentation/power/pm_qos_interface.
+        """
+        try:
+            descriptor = os.open(CPU_LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
+        except OSError:
+            yield False
+            return
+        try:
+            os.write(descriptor, ZERO_LATENCY)
+            self._descriptor = descriptor
+            yield True
+        finally:
+            self._descriptor = None
+            os.close(descriptor)
+
+    def sleep(self, duration_s: float) -> None:
+        """Sleep before a tick. In a virtual machine, some of the calls let the idle processors sleep as well.
+
+        Args:
+            duration_s: duration of the sleep [s].
+        """
+        self._sleep_count += 1
+        descriptor = self._descriptor
+        if (
+            descriptor is None
+            or not self._is_virtual_machine
+            or self._sleep_count % TICKS_PER_SLEEP
+        ):
+            time.sleep(duration_s)
+            return
+        os.write(descriptor, ANY_LATENCY)
+        time.sleep(duration_s)
+        os.write(descriptor, ZERO_LATENCY)
