@@ -325,9 +325,11 @@ def print_results(result: dict) -> None:
 
 def print_fixed_rate(rate_hz: float, ours: list[dict], bare: list[dict]) -> None:
     """Print the results of alternating measurements of both loops at a fixed rate: medians, and all missed ticks."""
-    failures = [row["failure"] for row in ours if "failure" in row]
-    if failures:
-        print(f"11 motors at {rate_hz:g} Hz: {failures[0]}")
+    for row in ours:
+        if "failure" in row:
+            print(f"11 motors at {rate_hz:g} Hz: {row['failure']}")
+    ours = [row for row in ours if "failure" not in row]
+    if not ours:
         return
     tick_us = {
         key: statistics.median(row["tick_us"][key] for row in ours) for key in ("p50", "p99")

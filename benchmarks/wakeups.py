@@ -8,7 +8,7 @@ control loop comes from the computer itself.
 A host can limit the processor time of a virtual machine. Linux counts the time in periods of 100 ms
 (``cpu.max`` of a control group), and a virtual machine that has reached its limit stands still until
 the end of the period. With such a limit, the late wake-ups are at nearly the same place in each
-period. The benchmark counts the late wake-ups in the fullest 2 ms of the period.
+period. The benchmark counts the late wake-ups of each core in the fullest 2 ms of the period.
 """
 
 import argparse
@@ -94,11 +94,13 @@ def print_results(result: dict) -> None:
     for state, runs in result.items():
         for cores in runs:
             delays_ms = [delay_ms for core in cores for delay_ms, _ in core]
-            same_place = count_at_same_place([time_ms for core in cores for _, time_ms in core])
-            numbers = ", ".join(str(len(core)) for core in cores)
+            numbers = ", ".join(
+                f"{len(core)} ({count_at_same_place([time_ms for _, time_ms in core])} at the same place)"
+                for core in cores
+            )
             print(
                 f"processors {state}: late wake-ups of each core {numbers}; "
-                f"at most {max(delays_ms, default=0.0):.1f} ms late; {same_place} at the same place of 100 ms"
+                f"at most {max(delays_ms, default=0.0):.1f} ms late"
             )
 
 

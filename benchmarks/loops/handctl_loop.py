@@ -5,7 +5,7 @@ In a run without deadlines, ``ReplyDrivenClock`` replaces the clock of the contr
 
 import select
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from handctl.core.gains.gains import Gains
@@ -53,6 +53,7 @@ class ReplyDrivenClock:
     """
 
     fd: int
+    processors: AwakeProcessors = field(default_factory=AwakeProcessors)
 
     def start(self):
         return
@@ -94,10 +95,8 @@ def run_loop(
     bus = open_bus(plan.buses[0], 0, 1_000_000)
     clock = RealClock(plan.period_ns) if rate_hz else ReplyDrivenClock(bus.fileno())
     priority = request_priority()
-    processors = AwakeProcessors()
     if rate_hz:
         clock.busy_wait = priority.is_realtime
-        clock.sleep_for = processors.sleep
     attachments = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
         log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=attachments)
@@ -121,7 +120,7 @@ def run_loop(
     record_snapshot = snapshot_recorder(recorder) if rate_hz else lambda entry, state: None
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin_tick, cut_frames, counter.requests,
-        lambda: list(recorder.take_events()), record, counter, tick_priority=processors.keep_awake,
+        lambda: list(recorder.take_events()), record, counter, tick_priority=clock.processors.keep_awake,
         record_snapshot=record_snapshot,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -253,8 +254,8 @@ def test_the_doctor_measures_wake_ups(
     from handctl.cli.checks import doctor
 
     now, ticks = [0.0], iter([(1000, 10), (1200, 10 + stolen_ticks)])
-    monkeypatch.setattr(doctor.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(doctor.time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
+    monkeypatch.setattr(time, "monotonic_ns", lambda: round(now[0] * 1e9))
+    monkeypatch.setattr(time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
     monkeypatch.setattr(doctor, "_cpu_and_steal_ticks", lambda: next(ticks))
     message, is_good, fix = doctor._check_wakeups()
     assert (expected_message in message, is_good) == (True, is_ready)

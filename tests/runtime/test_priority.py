@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -20,16 +19,6 @@ pytestmark = pytest.mark.skipif(
 
 def scheduling_policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-
-
-def open_files() -> set[str]:
-    """Return the paths of all files that the test process has open."""
-    paths = set()
-    for descriptor in os.listdir("/proc/self/fd"):
-        # the file descriptor that was used to list the folder is already closed
-        with suppress(OSError):
-            paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
-    return paths
 
 
 def test_priority_is_reset_after_the_run() -> None:

@@ -26,7 +26,6 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.live_session import LiveProgram, import_spline_functions
 from handctl.programs.program import Program
 from handctl.runtime.buses.bus_opening import open_bus
-from handctl.runtime.clocks.awake_processors import AwakeProcessors
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.clocks.real_clock import RealClock, TickClock
 from handctl.runtime.clocks.realtime_priority import (
@@ -189,8 +188,6 @@ def run_live(
         priority = prepare_priority()
         stack.callback(restore_priority)
         clock.busy_wait = priority.is_realtime
-        processors = AwakeProcessors()
-        clock.sleep_for = processors.sleep
         with ExitStack() as cleanup_stack:
             recorder, display = _start_recording(
                 plan, log, run_header(plan, controller, priority, lockstep=False), cleanup_stack
@@ -209,7 +206,7 @@ def run_live(
                 clock.rehearsal = rehearsal_for_period(
                     loop.rehearse_tick, int(plan.period_ns / plan.time_scale)
                 )
-            loop.tick_priority = partial(realtime_priority, processors=processors)
+            loop.tick_priority = partial(realtime_priority, processors=clock.processors)
             loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published_state)
             cleanup_stack.pop_all()

@@ -5,7 +5,6 @@ import platform
 import shutil
 import socket
 import sys
-import time
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +13,7 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import installed_by_extra
+from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.clocks.realtime_priority import (
     GrantedPriority,
     realtime_priority,
@@ -25,8 +25,8 @@ from handctl.session.exit_codes import ExitCode
 
 WAKEUP_TEST_S = 1.0
 """Time for which the lateness of wake-ups is measured [s]."""
-WAKEUP_SLEEP_S = 0.001
-"""Time that the measuring process sleeps before each wake-up [s]."""
+WAKEUP_PERIOD_NS = 1_000_000
+"""Time between the deadlines of two wake-ups [ns]."""
 MAX_WAKEUP_LATENESS_S = 0.002
 """Lateness of a wake-up at which the check of the wake-ups fails [s].
 
@@ -126,12 +126,12 @@ def _check_locked_memory() -> DoctorFinding:
 
 def _check_wakeups() -> DoctorFinding:
     """Measure how late the system wakes a process, and check whether a hypervisor has taken processor time away."""
-    start_time_s, ticks = time.monotonic(), _cpu_and_steal_ticks()
-    max_lateness_s = 0.0
-    with realtime_priority():
-        while (sleep := time.monotonic()) < start_time_s + WAKEUP_TEST_S:
-            time.sleep(WAKEUP_SLEEP_S)
-            max_lateness_s = max(max_lateness_s, time.monotonic() - sleep - WAKEUP_SLEEP_S)
+    ticks = _cpu_and_steal_ticks()
+    clock = RealClock(WAKEUP_PERIOD_NS)
+    with realtime_priority(processors=clock.processors):
+        clock.start()
+        latest_ns = max(clock.wait(k) for k in range(int(WAKEUP_TEST_S * 1e9) // WAKEUP_PERIOD_NS))
+    max_lateness_s = latest_ns / 1e9
     total, stolen = (
         ticks_after - ticks_before
         for ticks_before, ticks_after in zip(ticks, _cpu_and_steal_ticks(), strict=True)

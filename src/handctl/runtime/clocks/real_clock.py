@@ -7,10 +7,10 @@ The module ``lockstep`` contains another clock, for virtual time.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from handctl.runtime.clocks.awake_processors import AwakeProcessors
 from handctl.runtime.clocks.expected_time import ExpectedTime
 from handctl.runtime.clocks.rehearsal import Rehearsal
 
@@ -67,9 +67,9 @@ class RealClock:
             readings are useful only with real-time priority.
         rehearsal: rehearsal of each tick before its deadline, or None. A rehearsal is useful only
             with ``busy_wait``.
-        sleep_for: function that sleeps for a number of seconds. With
-            ``awake_processors.AwakeProcessors.sleep``, the idle processors sometimes sleep as well.
-        wake_up_delay: expected delay of the next wake-up of the process.
+        processors: the idle processors. While they are kept awake, they sleep in some of the waits.
+        wake_up_delay: expected delay of a wake-up of the process.
+        delay_after_processor_sleep: expected delay of a wake-up if the idle processors slept as well.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pause_count: number of pauses of the clock so far. Only the shared clock can pause.
         paused_ns: total duration of the clock's pauses [ns of wall time].
@@ -79,8 +79,11 @@ class RealClock:
     time_scale: float = 1.0
     busy_wait: bool = False
     rehearsal: Rehearsal | None = None
-    sleep_for: Callable[[float], None] = field(default_factory=lambda: time.sleep)
+    processors: AwakeProcessors = field(default_factory=AwakeProcessors)
     wake_up_delay: ExpectedTime = field(
+        default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
+    )
+    delay_after_processor_sleep: ExpectedTime = field(
         default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
     )
     start_ns: int = 0
@@ -119,18 +122,21 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since the deadline [ns of wall time]."""
-        delay_ns = self.wake_up_delay.expected_ns
+        do_processors_sleep = self.processors.may_sleep_before_tick()
+        delay = self.delay_after_processor_sleep if do_processors_sleep else self.wake_up_delay
+        delay_ns = delay.expected_ns
         lead_ns = int(min(delay_ns + BUSY_WAIT_NS, MAX_BUSY_WAIT_LEAD_NS)) if self.busy_wait else 0
         rehearsal = self.rehearsal
         rehearsal_lead_ns = rehearsal.lead_time_ns(delay_ns) if rehearsal else 0
         lead_ns = max(lead_ns, rehearsal_lead_ns)
         waiting_ns = deadline_ns - self._read_clock_ns() - lead_ns
         if waiting_ns > 0:
-            self.sleep_for(waiting_ns / 1e9)
+            sleep = self.processors.sleep if do_processors_sleep else time.sleep
+            sleep(waiting_ns / 1e9)
         if lead_ns:
             remaining_ns = deadline_ns - self._read_clock_ns()
             if waiting_ns > 0:
-                self.wake_up_delay.follow(lead_ns - remaining_ns)
+                delay.follow(lead_ns - remaining_ns)
             if rehearsal and rehearsal_lead_ns:
                 rehearsal.rehearse(remaining_ns)
             elif rehearsal:

@@ -19,7 +19,8 @@ class GrantedPriority:
         is_realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
             priority.
         is_memory_locked: True if the memory of the process is locked against paging.
-        are_processors_awake: True if idle processors stay awake while the ticks run.
+        are_processors_awake: True if the system permits that idle processors stay awake while the
+            ticks run, see ``awake_processors``.
     """
 
     is_realtime: bool
