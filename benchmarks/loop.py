@@ -240,8 +240,9 @@ def bare_spin_lateness(duration_s: float, rate_hz: float) -> Iterator[int]:
     clock = RealClock(period_ns)
     clock.busy_wait = request_priority().is_realtime
     clock.start()
+    tick_count = int(duration_s * rate_hz)
     k = 1
-    while k <= int(duration_s * rate_hz):
+    while k <= tick_count:
         lateness_ns = clock.wait(k)
         yield lateness_ns
         k += 1 + lateness_ns // period_ns

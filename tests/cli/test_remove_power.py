@@ -16,6 +16,7 @@ from handctl.errors import PowerError
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
 from handctl.session.run import RunOutcome
+from tests.runtime.run_without_nodes import EmptyBus
 
 FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
 
@@ -51,22 +52,6 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, m
     assert last_line == "handctl: REMOVE POWER: not confirmed disabled: index_motor"
 
 
-class SilentBus:
-    """A bus that accepts all frames for sending, but delivers no frames."""
-
-    def send(self, frames):
-        return len(frames)
-
-    def drain(self):
-        return ()
-
-    def take_events(self):
-        return ()
-
-    def close(self):
-        pass
-
-
 @pytest.mark.parametrize(("drive_is_off", "exit_code"), [(False, 71), (True, 130)])
 def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(
     monkeypatch, capsys, drive_is_off, exit_code
@@ -76,7 +61,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(
         yield
 
     monkeypatch.setattr(conformance, "run_checks", raise_interrupt)
-    monkeypatch.setattr(bench_drive, "open_bus", lambda *arguments: SilentBus())
+    monkeypatch.setattr(bench_drive, "open_bus", lambda *arguments: EmptyBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_disabled", lambda rig, watchdog_s: drive_is_off)
     words = (

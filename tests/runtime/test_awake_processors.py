@@ -3,15 +3,12 @@
 import os
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from handctl.core.gains.gains import Gains
-from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.task import load_task
-from handctl.programs.task_program import TaskProgram
 from handctl.runtime.clocks import awake_processors
 from handctl.runtime.clocks.awake_processors import (
     ANY_LATENCY,
@@ -27,9 +24,7 @@ from handctl.runtime.clocks.realtime_priority import (
     restore_priority,
 )
 from handctl.session import run
-from handctl.session.run_plan import RunPlan, default_control_rate
-from tests.drives.protocol_bench import hand_file
-from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
+from tests.runtime.run_without_nodes import EmptyBus, plan_and_controller
 
 
 @pytest.fixture
@@ -88,7 +83,7 @@ def test_idle_processors_sleep_in_some_ticks_of_a_virtual_machine(
 
 def wait_for_tick(processors: AwakeProcessors) -> None:
     """Wait as the clock waits for a deadline."""
-    if processors.may_sleep_before_tick():
+    if processors.begin_wait():
         processors.sleep(0.0)
 
 
@@ -121,7 +116,7 @@ def test_processors_that_are_not_kept_awake_get_no_request(tmp_path, monkeypatch
 
 def test_processors_stay_awake_only_during_the_ticks(latency_file):
     assert str(latency_file) not in open_files()
-    with realtime_priority():
+    with realtime_priority(AwakeProcessors()):
         assert str(latency_file) in open_files()
         assert latency_file.read_bytes() == ZERO_LATENCY
     assert str(latency_file) not in open_files()
@@ -145,7 +140,7 @@ def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch):
     with processors.keep_awake() as is_awake:
         assert not is_awake
         for _ in range(2 * TICKS_PER_PROCESSOR_SLEEP):
-            assert not processors.may_sleep_before_tick()
+            assert not processors.begin_wait()
     assert not prepare_priority().are_processors_awake
     restore_priority()
 
@@ -188,31 +183,12 @@ def test_the_delay_after_a_sleep_of_the_processors_is_expected_separately(
     assert max(lateness_ns[400:]) < 1000
 
 
-class EmptyBus:
-    """A bus without nodes."""
-
-    def drain(self):
-        return []
-
-    def send(self, frames):
-        return len(frames)
-
-    def take_events(self):
-        return []
-
-    def close(self):
-        return None
-
-
 def test_the_processors_sleep_in_some_ticks_of_a_run(tmp_path, monkeypatch, latency_file):
     write_processor_file(tmp_path / "cpuinfo", "hypervisor", monkeypatch)
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     monkeypatch.setattr(run, "open_bus", lambda *words: EmptyBus())
-    task = tmp_path / "short.toml"
-    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
-    hand = load_hand(hand_file(tmp_path, ["mit"]))
-    plan = RunPlan(hand, Gains(), default_control_rate(hand), (0.5,), buses=("local:x",))
-    controller = run.make_controller(plan, TaskProgram(load_task(task)), None, True)
+    _, plan, controller = plan_and_controller(tmp_path)
+    plan = replace(plan, buses=("local:x",))
     run.run_live(plan, controller, tmp_path / "run.mcap")
     with RunLog(tmp_path / "run.mcap") as log:
         tick_count = len(log)

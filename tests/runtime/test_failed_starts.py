@@ -10,42 +10,18 @@ import pytest
 
 from handctl.cli.checks import bus_watch
 from handctl.cli.main import main
-from handctl.core.gains.gains import Gains
 from handctl.errors import BusError
-from handctl.hand.hand_loading import load_hand
 from handctl.log.read.record_scan import scan_path
 from handctl.log.write.recorder import Recorder
-from handctl.programs.task import load_task
-from handctl.programs.task_program import TaskProgram
 from handctl.runtime.loop import StopSignals
 from handctl.session import run
 from handctl.session.lockstep_simulation import SimulatorSettings
-from handctl.session.run_plan import RunPlan, default_control_rate
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
-from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
+from tests.runtime.run_without_nodes import EmptyBus, plan_and_controller
 
 
 class StartError(Exception):
     """Error that a test raises while a run starts."""
-
-
-class ClosableBus:
-    """A bus without nodes."""
-
-    def __init__(self):
-        self.closed = False
-
-    def drain(self):
-        return []
-
-    def send(self, frames):
-        return len(frames)
-
-    def take_events(self):
-        return []
-
-    def close(self):
-        self.closed = True
 
 
 class ClosableDisplay:
@@ -80,16 +56,6 @@ def started_recorders(tmp_path, monkeypatch):
     return started
 
 
-def plan_and_controller(tmp_path, start_display):
-    """Return the plan of a short run on a local bus, and the controller of the run."""
-    path = hand_file(tmp_path, ["mit"])
-    task = tmp_path / "short.toml"
-    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
-    hand = load_hand(path)
-    plan = RunPlan(hand, Gains(), default_control_rate(hand), (0.5,), start_display=start_display)
-    return path, plan, run.make_controller(plan, TaskProgram(load_task(task)), None, True)
-
-
 def check_recorder_closed(recorder: Recorder, log_path: Path) -> None:
     """Check that a recorder process has ended, and that its log has an end mark."""
     assert recorder._child.poll() is not None
@@ -114,7 +80,7 @@ def test_a_live_run_that_does_not_start_closes_its_recorder(
     failing_step, started_recorders, tmp_path, monkeypatch
 ):
     buses = []
-    monkeypatch.setattr(run, "open_bus", lambda *words: buses.append(ClosableBus()) or buses[-1])
+    monkeypatch.setattr(run, "open_bus", lambda *words: buses.append(EmptyBus()) or buses[-1])
     display = ClosableDisplay()
     if failing_step == "view":
         monkeypatch.setattr(run, "_start_view", raise_error)
@@ -146,7 +112,7 @@ def test_a_display_that_does_not_close_leaves_no_recorder(started_recorders, tmp
 def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
-    first_closable_bus = ClosableBus()
+    first_closable_bus = EmptyBus()
 
     def open_only_first_bus(spec, index, *words):
         if index:

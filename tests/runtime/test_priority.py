@@ -10,6 +10,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.runtime.clocks import realtime_priority
+from handctl.runtime.clocks.awake_processors import AwakeProcessors
 from handctl.runtime.clocks.realtime_priority import request_priority, restore_priority
 
 pytestmark = pytest.mark.skipif(
@@ -57,7 +58,7 @@ def test_only_ticks_have_realtime_priority() -> None:
     granted_priority = realtime_priority.prepare_priority()
     policies = []
     assert scheduling_policy() == os.SCHED_OTHER
-    with realtime_priority.realtime_priority() as granted_now:
+    with realtime_priority.realtime_priority(AwakeProcessors()) as granted_now:
         policies.append(scheduling_policy())
     restore_priority()
     assert granted_now == granted_priority.is_realtime

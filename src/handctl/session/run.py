@@ -206,7 +206,7 @@ def run_live(
                 clock.rehearsal = rehearsal_for_period(
                     loop.rehearse_tick, int(plan.period_ns / plan.time_scale)
                 )
-            loop.tick_priority = partial(realtime_priority, processors=clock.processors)
+            loop.tick_priority = partial(realtime_priority, clock.processors)
             loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published_state)
             cleanup_stack.pop_all()

@@ -128,7 +128,7 @@ def _check_wakeups() -> DoctorFinding:
     """Measure how late the system wakes a process, and check whether a hypervisor has taken processor time away."""
     ticks = _cpu_and_steal_ticks()
     clock = RealClock(WAKEUP_PERIOD_NS)
-    with realtime_priority(processors=clock.processors):
+    with realtime_priority(clock.processors):
         clock.start()
         latest_ns = max(clock.wait(k) for k in range(int(WAKEUP_TEST_S * 1e9) // WAKEUP_PERIOD_NS))
     max_lateness_s = latest_ns / 1e9

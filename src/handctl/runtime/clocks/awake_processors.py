@@ -35,10 +35,11 @@ def is_virtual_machine() -> bool:
     result is False.
     """
     try:
-        lines = PROCESSOR_FILE.read_text(encoding="utf-8").splitlines()
+        with PROCESSOR_FILE.open(encoding="utf-8") as lines:
+            flags = next((line for line in lines if line.startswith("flags")), "")
     except OSError:
         return False
-    return any(line.startswith("flags") and "hypervisor" in line.split() for line in lines)
+    return "hypervisor" in flags.split()
 
 
 class AwakeProcessors:
@@ -46,7 +47,7 @@ class AwakeProcessors:
 
     def __init__(self) -> None:
         """Leave the processors as they are until :meth:`keep_awake`."""
-        self._is_virtual_machine = is_virtual_machine()
+        self._is_virtual_machine = False
         self._descriptor: int | None = None
         self._wait_count = 0
 
@@ -56,15 +57,21 @@ class AwakeProcessors:
 
         Yield True if the system permits that processors stay awake.
         """
+        self._is_virtual_machine = is_virtual_machine()
         self._descriptor = _open_latency_request()
         try:
-            yield self._descriptor is not None
+            yield self.are_kept_awake
         finally:
             if self._descriptor is not None:
                 os.close(self._descriptor)
             self._descriptor = None
 
-    def may_sleep_before_tick(self) -> bool:
+    @property
+    def are_kept_awake(self) -> bool:
+        """Return True in a ``with`` block of :meth:`keep_awake` that the system permits."""
+        return self._descriptor is not None
+
+    def begin_wait(self) -> bool:
         """Count a wait for a tick, and return True if the processors must sleep in this wait.
 
         The result is True before one of ``TICKS_PER_PROCESSOR_SLEEP`` ticks, if the processors of a
@@ -73,7 +80,7 @@ class AwakeProcessors:
         self._wait_count += 1
         return (
             self._is_virtual_machine
-            and self._descriptor is not None
+            and self.are_kept_awake
             and not self._wait_count % TICKS_PER_PROCESSOR_SLEEP
         )
 

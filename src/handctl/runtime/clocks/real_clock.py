@@ -8,6 +8,7 @@ The module ``lockstep`` contains another clock, for virtual time.
 
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 from handctl.runtime.clocks.awake_processors import AwakeProcessors
@@ -81,10 +82,10 @@ class RealClock:
     rehearsal: Rehearsal | None = None
     processors: AwakeProcessors = field(default_factory=AwakeProcessors)
     wake_up_delay: ExpectedTime = field(
-        default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
+        default_factory=partial(ExpectedTime, INITIAL_WAKE_UP_DELAY_NS)
     )
     delay_after_processor_sleep: ExpectedTime = field(
-        default_factory=lambda: ExpectedTime(INITIAL_WAKE_UP_DELAY_NS)
+        default_factory=partial(ExpectedTime, INITIAL_WAKE_UP_DELAY_NS)
     )
     start_ns: int = 0
     pause_count: int = 0
@@ -122,7 +123,7 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since the deadline [ns of wall time]."""
-        do_processors_sleep = self.processors.may_sleep_before_tick()
+        do_processors_sleep = self.processors.begin_wait()
         delay = self.delay_after_processor_sleep if do_processors_sleep else self.wake_up_delay
         delay_ns = delay.expected_ns
         lead_ns = int(min(delay_ns + BUSY_WAIT_NS, MAX_BUSY_WAIT_LEAD_NS)) if self.busy_wait else 0

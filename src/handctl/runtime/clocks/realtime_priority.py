@@ -59,23 +59,23 @@ def prepare_priority() -> GrantedPriority:
     priority, so that other processes can use the core.
     """
     is_memory_locked = _lock_memory()
-    with realtime_priority() as granted_priority, AwakeProcessors().keep_awake() as is_awake:
-        return GrantedPriority(granted_priority, is_memory_locked, is_awake)
+    processors = AwakeProcessors()
+    with realtime_priority(processors) as is_realtime:
+        return GrantedPriority(is_realtime, is_memory_locked, processors.are_kept_awake)
 
 
 @contextmanager
-def realtime_priority(level: int = 60, processors: AwakeProcessors | None = None) -> Iterator[bool]:
+def realtime_priority(processors: AwakeProcessors, level: int = 60) -> Iterator[bool]:
     """Run a ``with`` block under SCHED_FIFO on awake processors.
 
     Yield True if the system has granted SCHED_FIFO.
 
     Args:
+        processors: the idle processors, which the ``with`` block keeps awake.
         level: priority within SCHED_FIFO.
-        processors: processors that stay awake. None means that the processors never sleep in the
-            ``with`` block.
     """
     try:
-        with (processors or AwakeProcessors()).keep_awake():
+        with processors.keep_awake():
             yield _set_fifo_scheduling(level)
     finally:
         _restore_scheduling()
